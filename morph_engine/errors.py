@@ -1,0 +1,44 @@
+"""Errors a user can act on: each names its cause and its remedy, one sentence apiece."""
+
+from __future__ import annotations
+
+
+class MorphError(Exception):
+    """Base of every error the engine raises on purpose.
+
+    Args:
+        cause: One sentence that says what is wrong.
+        remedy: One sentence that says what to do about it.
+    """
+
+    def __init__(self, cause: str, remedy: str) -> None:
+        super().__init__(cause, remedy)
+        self.cause = cause
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return f"{self.cause} {self.remedy}"
+
+
+class MeshError(MorphError):
+    """A mesh, point cloud or shape name cannot be used."""
+
+
+class ConfigError(MorphError):
+    """A configuration names an unknown field or holds a value out of range."""
+
+
+class ResourceError(MorphError):
+    """The request needs more memory or disk than there is."""
+
+
+class ResultError(MorphError):
+    """A result file or run directory is missing, damaged or of another run."""
+
+
+class DeviceError(MorphError):
+    """The requested compute device cannot be used here."""
+
+
+class SimulationError(MorphError):
+    """A frame could not be completed even with the smallest step."""
