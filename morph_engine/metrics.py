@@ -1,0 +1,308 @@
+"""Every number we print, defined once: the catalogue, and what two point sets tell of each other.
+
+Particles x_p (N of them) are compared with target points q_j (M of them) by exact nearest
+neighbours in float64::
+
+    d_fwd(p) = min_j |x_p - q_j|        d_rev(j) = min_p |x_p - q_j|
+
+Lengths are in grid units (dx). A target that is a lattice of spacing h has floors: a particle
+dropped at random inside it is h/2 (rms) from the nearest lattice point, so compare these numbers
+only at equal h, or divided by h (algorithm 9.1). `morph_engine.fill` has the floor-free numbers.
+
+Particles with a non-finite coordinate never take part in a distance or a share; they are counted
+in ``escaped``. With no finite particle at all, every metric takes its worst value: distances are
+inf, shares 0 where higher is better and 1 where lower is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from morph_engine.errors import MeshError
+
+__all__ = [
+    "COVERING_RADIUS_OVER_H",
+    "METRICS",
+    "Definition",
+    "chamfer_metrics",
+    "deformation_metrics",
+    "finite_points",
+    "target_points",
+]
+
+Points = npt.NDArray[np.float64]
+
+COVERING_RADIUS_OVER_H = 0.87
+"""Just over half the diagonal of a lattice cell, in units of h: balls of this radius around the
+points of a perfect fill leave no hole (algorithm 9.2)."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What one number means.
+
+    Attributes:
+        formula: Plain-text formula in the notation of this module.
+        unit: ``dx`` (grid units), ``h`` (sample spacings), ``share`` (0 to 1), ``count``,
+            ``ratio`` or ``-`` (a pure number).
+        better: Direction of improvement: ``lower``, ``higher``, or ``one`` (the nearer to 1).
+        meaning: What the number tells, in a few words.
+    """
+
+    formula: str
+    unit: Literal["dx", "h", "share", "count", "ratio", "-"]
+    better: Literal["lower", "higher", "one"]
+    meaning: str
+
+
+METRICS: dict[str, Definition] = {
+    # nearest neighbours (algorithm 9)
+    "s2t": Definition(
+        "sqrt(mean_p d_fwd^2)", "dx", "lower", "how far particles are from the target"
+    ),
+    "t2s": Definition(
+        "sqrt(mean_j d_rev^2)", "dx", "lower", "how far the target is from particles"
+    ),
+    "two_sided": Definition(
+        "sqrt(mean_p d_fwd^2 + mean_j d_rev^2)", "dx", "lower", "Chamfer distance, root-sum form"
+    ),
+    "s2t_over_h": Definition("s2t / h", "h", "lower", "s2t, comparable across resolutions"),
+    "t2s_over_h": Definition("t2s / h", "h", "lower", "t2s, comparable across resolutions"),
+    "two_sided_over_h": Definition(
+        "two_sided / h", "h", "lower", "two_sided, comparable across resolutions"
+    ),
+    "hausdorff": Definition(
+        "max(max_p d_fwd, max_j d_rev)", "dx", "lower", "the worst point of either set"
+    ),
+    "precision": Definition(
+        "|{p : d_fwd < tau}| / N", "share", "higher", "particles close to the target"
+    ),
+    "recall": Definition(
+        "|{j : d_rev < tau}| / M", "share", "higher", "target points close to a particle"
+    ),
+    "f1": Definition(
+        "2 precision recall / (precision + recall)",
+        "share",
+        "higher",
+        "harmonic mean of precision and recall, 0 if both are 0",
+    ),
+    "coverage": Definition(
+        "|{j : d_rev < 0.87 h}| / M", "share", "higher", "target points that are not in a hole"
+    ),
+    # collapse
+    "overlap_01": Definition(
+        "|{p : min_r |x_p - x_r| < 0.01}| / N, r != p",
+        "share",
+        "lower",
+        "particles that coincide with another",
+    ),
+    "overlap_h10": Definition(
+        "|{p : min_r |x_p - x_r| < 0.1 h}| / N, r != p",
+        "share",
+        "lower",
+        "particles that nearly coincide with another",
+    ),
+    "many_to_one": Definition(
+        "|{nearest target of p : all p}| / N",
+        "share",
+        "higher",
+        "distinct nearest targets per particle; 1 when no two particles share one",
+    ),
+    "targets_used": Definition(
+        "|{nearest target of p : all p}| / M",
+        "share",
+        "higher",
+        "target points that are the nearest one of some particle",
+    ),
+    # state
+    "escaped": Definition(
+        "|{p : max_a |x_p,a| > 14 or x_p not finite}|",
+        "count",
+        "lower",
+        "particles that left the domain's safe part",
+    ),
+    "det_f_min": Definition(
+        "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
+    ),
+    "det_f_max": Definition("max_p det F_p", "ratio", "one", "strongest expansion"),
+}
+
+
+def finite_points(positions: npt.ArrayLike) -> tuple[Points, npt.NDArray[np.bool_]]:
+    """Split off particles that have no usable position.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3], any float type.
+
+    Returns:
+        The finite positions [dx], shape [k, 3], float64, and the mask [n] that selects them.
+
+    Raises:
+        MeshError: The shape is not [n, 3].
+    """
+    points = np.asarray(positions)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(
+            f"A point cloud has shape {list(points.shape)}.",
+            "Pass one row of x, y, z per point, shape [n, 3].",
+        )
+    finite = np.isfinite(points).all(axis=1)
+    return points[finite].astype(np.float64), finite
+
+
+def target_points(target: npt.ArrayLike) -> Points:
+    """Check a target cloud, which unlike a running simulation has no excuse.
+
+    Args:
+        target: Target points [dx], shape [m, 3], any float type.
+
+    Returns:
+        The points [dx], shape [m, 3], float64.
+
+    Raises:
+        MeshError: The shape is not [m, 3], there is no point, or one is not finite.
+    """
+    points, finite = finite_points(target)
+    if not finite.all():
+        raise MeshError(
+            f"{np.count_nonzero(~finite)} target points are not finite.",
+            "Remove the rows with NaN or infinite coordinates.",
+        )
+    if not len(points):
+        raise MeshError("The target has no points.", "Pass at least one target point.")
+    return points
+
+
+def chamfer_metrics(
+    positions: npt.ArrayLike,
+    target: npt.ArrayLike,
+    *,
+    spacing: float,
+    tau: float = 0.2,
+    coverage_radius: float | None = None,
+    domain_half_extent: float = 14.0,
+    d_fwd: npt.ArrayLike | None = None,
+    nearest_fwd: npt.ArrayLike | None = None,
+    d_rev: npt.ArrayLike | None = None,
+    workers: int = 1,
+) -> dict[str, float]:
+    """Nearest-neighbour metrics of one frame, cheap enough for every frame.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3].
+        target: Target points [dx], shape [m, 3].
+        spacing: Lattice spacing h of the target [dx].
+        tau: Threshold of precision, recall and F1 [dx], strict.
+        coverage_radius: Threshold of coverage [dx], strict; 0.87 h when not given.
+        domain_half_extent: A particle beyond this in any coordinate has escaped [dx].
+        d_fwd: Distances d_fwd where already known [dx], shape [n], not squared.
+        nearest_fwd: Index of each particle's nearest target point, shape [n], integer.
+        d_rev: Distances d_rev where already known [dx], shape [m], not squared.
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        ``s2t``, ``t2s``, ``two_sided``, their ``*_over_h``, ``hausdorff``, ``precision``,
+        ``recall``, ``f1``, ``coverage``, ``overlap_01``, ``overlap_h10``, ``many_to_one``,
+        ``targets_used`` and ``escaped``, as defined in `METRICS` (algorithm 9).
+
+    Raises:
+        MeshError: Either array has the wrong shape, or the target is empty or not finite.
+    """
+    points, finite = finite_points(positions)
+    goal = target_points(target)
+    count = len(points)
+    inside = np.count_nonzero((np.abs(points) <= domain_half_extent).all(axis=1))
+    escaped = {"escaped": float(len(finite) - inside)}
+    if count == 0:
+        return _worst() | escaped
+
+    distinct, copies = np.unique(points, axis=0, return_counts=True)
+    tree = cKDTree(distinct)
+
+    if d_fwd is None or nearest_fwd is None:
+        forward, nearest = cKDTree(goal).query(points, workers=workers)
+    else:
+        forward, nearest = np.asarray(d_fwd)[finite], np.asarray(nearest_fwd)[finite]
+    if d_rev is None:
+        reverse, _ = tree.query(goal, workers=workers)
+    else:
+        reverse = np.asarray(d_rev)
+    forward, reverse = forward.astype(np.float64), reverse.astype(np.float64)
+
+    forward_mean, reverse_mean = float(np.mean(forward**2)), float(np.mean(reverse**2))
+    chamfer = {
+        "s2t": math.sqrt(forward_mean),
+        "t2s": math.sqrt(reverse_mean),
+        "two_sided": math.sqrt(forward_mean + reverse_mean),
+    }
+    precision, recall = float(np.mean(forward < tau)), float(np.mean(reverse < tau))
+    radius = COVERING_RADIUS_OVER_H * spacing if coverage_radius is None else coverage_radius
+    target_count = np.unique(nearest).size
+
+    close = (0.01, 0.1 * spacing)
+    # identical points are counted apart: a tree cannot split them, and searching them is O(n^2)
+    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=max(close), workers=workers)
+    gap = np.where(copies > 1, 0.0, gap[:, 0])
+    overlap_01, overlap_h10 = (float(copies[gap < limit].sum()) / count for limit in close)
+
+    return (
+        chamfer
+        | {f"{name}_over_h": value / spacing for name, value in chamfer.items()}
+        | {
+            "hausdorff": float(max(forward.max(), reverse.max())),
+            "precision": precision,
+            "recall": recall,
+            "f1": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
+            "coverage": float(np.mean(reverse < radius)),
+            "overlap_01": overlap_01,
+            "overlap_h10": overlap_h10,
+            "many_to_one": target_count / count,
+            "targets_used": target_count / len(goal),
+        }
+        | escaped
+    )
+
+
+def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
+    """Range of det F over the particles.
+
+    Args:
+        deformation: Deformation gradients F [-], shape [n, 3, 3].
+
+    Returns:
+        ``det_f_min`` and ``det_f_max``. A non-finite determinant counts as the worst value of
+        each, -inf and inf.
+
+    Raises:
+        ValueError: The shape is not [n, 3, 3] with n > 0.
+    """
+    gradients = np.asarray(deformation, dtype=np.float64)
+    if gradients.ndim != 3 or gradients.shape[1:] != (3, 3) or not len(gradients):
+        raise ValueError(f"F has shape {list(gradients.shape)}, expected [n, 3, 3] with n > 0")
+    # the rows' triple product: exact on the identity, and quiet where LAPACK warns of NaN
+    with np.errstate(invalid="ignore", over="ignore"):
+        det: npt.NDArray[Any] = np.einsum(
+            "pi,pi->p", gradients[:, 0], np.cross(gradients[:, 1], gradients[:, 2])
+        )
+    known = np.isfinite(det)
+    return {
+        "det_f_min": float(np.where(known, det, -np.inf).min()),
+        "det_f_max": float(np.where(known, det, np.inf).max()),
+    }
+
+
+def _worst() -> dict[str, float]:
+    """Values of `chamfer_metrics` when no particle has a finite position."""
+    lengths = ("s2t", "t2s", "two_sided")
+    return (
+        dict.fromkeys((*lengths, *(f"{name}_over_h" for name in lengths), "hausdorff"), math.inf)
+        | dict.fromkeys(("precision", "recall", "f1", "coverage"), 0.0)
+        | dict.fromkeys(("overlap_01", "overlap_h10"), 1.0)
+        | dict.fromkeys(("many_to_one", "targets_used"), 0.0)
+    )
