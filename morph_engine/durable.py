@@ -1,0 +1,86 @@
+"""Files that survive a crash: replaced as a whole, and written by one process at a time."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file so that readers see the old content or the new one, never a part of it.
+
+    The body writes to the temporary name it is given, in the same directory. Leaving the body
+    flushes that file to the disk and renames it over `path`; an exception removes it.
+
+    Args:
+        path: The file to write or to replace.
+
+    Yields:
+        The temporary name.
+
+    Raises:
+        OSError: The file cannot be written, for want of space or of the right to.
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        yield temporary
+        with temporary.open("r+b") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_directory(path.parent)
+
+
+def sync_directory(path: Path) -> None:
+    """Make the names in a directory durable, so that a rename outlives a power cut.
+
+    Args:
+        path: The directory.
+
+    Raises:
+        OSError: The directory cannot be opened.
+    """
+    if sys.platform == "win32":
+        return  # Windows cannot open a directory, and keeps names in its own journal
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def acquire(path: Path) -> BinaryIO | None:
+    """Lock a file for this process; the system frees it when the process ends, however it ends.
+
+    Args:
+        path: The lock file, created where missing.
+
+    Returns:
+        The open file, which holds the lock until it is closed; None where another holds it.
+
+    Raises:
+        OSError: The lock file cannot be opened.
+    """
+    file = path.open("a+b")
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        return None
+    if not path.exists():  # its holder removed it between our open and our lock
+        file.close()
+        return None
+    return file

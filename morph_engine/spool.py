@@ -1,0 +1,383 @@
+"""The run directory `<result>.spool`: what a run has finished, safe at any instant.
+
+run.json and run.npz   the run record, written first
+frame-000000.npy       positions of one frame
+frames.jsonl           one line per finished frame: its metrics and events
+checkpoint.npz         the state after one frame, from which the run continues bit for bit
+lock                   held by the one process that writes
+
+A frame counts once its line stands in frames.jsonl, and its positions are on the disk before that.
+The checkpoint decides where a run continues: frames beyond it are computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine.durable import acquire, replacing
+from morph_engine.errors import ResultError
+from morph_engine.run_record import Json, RunRecord
+
+_RUN = "run.json"
+_ARRAYS = "run.npz"
+_LINES = "frames.jsonl"
+_CHECKPOINT = "checkpoint.npz"
+_SCALARS = "scalars.json"
+
+
+def spool_path(result_path: str | Path) -> Path:
+    """The run directory that belongs to a result file."""
+    return Path(f"{result_path}.spool")
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The state of a run after one frame.
+
+    Attributes:
+        frame: Index of the last frame it includes.
+        arrays: Array state by name; what they hold is the engine's own affair.
+        scalars: Other state, JSON only; floats and integers come back exactly.
+    """
+
+    frame: int
+    arrays: dict[str, NDArray[Any]]
+    scalars: Json
+
+
+class Spool:
+    """A run directory, made by `create` or `open` and closed by `close` or `with`.
+
+    Attributes:
+        path: The directory.
+        result_path: The result file it belongs to.
+        run: What the run is made of.
+    """
+
+    def __init__(self, result_path: Path, run: RunRecord, lock: BinaryIO | None) -> None:
+        self.path = spool_path(result_path)
+        self.result_path = result_path
+        self.run = run
+        self._lock = lock
+        self._lines = _read_lines(self.path / _LINES)
+
+    @classmethod
+    def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
+        """Start a run directory beside the result file to come.
+
+        Args:
+            result_path: The result file.
+            run: What the run is made of.
+            replace: Discard an unfinished run found there.
+
+        Returns:
+            The empty spool, locked for this process.
+
+        Raises:
+            ResultError: Another process writes it, an unfinished run stands there, or the disk
+                refuses.
+        """
+        path = spool_path(result_path)
+        with _writing(path):
+            path.mkdir(parents=True, exist_ok=True)
+            lock = _lock(path)
+            try:
+                if (path / _RUN).exists() and not replace:
+                    raise ResultError(
+                        f"{path} holds an unfinished run.",
+                        "Continue it with --resume, or delete that directory to start afresh.",
+                    )
+                _clear(path)
+                with replacing(path / _ARRAYS) as file:
+                    _save_arrays(file, run.arrays())
+                with replacing(path / _RUN) as file:
+                    file.write_text(json.dumps(run.document(), indent=1), encoding="utf-8")
+            except BaseException:
+                lock.close()
+                raise
+        return cls(Path(result_path), run, lock)
+
+    @classmethod
+    def open(
+        cls, result_path: str | Path, run: RunRecord | None = None, *, writable: bool = True
+    ) -> Spool:
+        """Open the run directory that an earlier process left, or that another one writes.
+
+        Args:
+            result_path: The result file it belongs to.
+            run: What the run must be made of; None accepts any.
+            writable: Lock it to go on with the run; False only reads what is finished by now.
+
+        Returns:
+            The spool with all its finished frames.
+
+        Raises:
+            ResultError: There is none, another process writes it, it is damaged, or it is of
+                another run (the message names the first difference).
+        """
+        path = spool_path(result_path)
+        if not (path / _RUN).is_file():
+            raise ResultError(
+                f"There is no unfinished run at {path}.", "Start the run without --resume."
+            )
+        with _writing(path):
+            lock = _lock(path) if writable else None
+        try:
+            with _reading(path / _RUN):
+                document = json.loads((path / _RUN).read_text(encoding="utf-8"))
+                stored = RunRecord.restore(document, _load_arrays(path / _ARRAYS))
+            if run is not None:
+                _check_same(path, document, run.document())
+            spool = cls(Path(result_path), stored, lock)
+            if writable:
+                spool.truncate_after(spool.frame_count - 1)  # what a kill left half written
+            return spool
+        except BaseException:
+            if lock is not None:
+                lock.close()
+            raise
+
+    @property
+    def frame_count(self) -> int:
+        """Number of finished frames; their indices run from 0."""
+        return len(self._lines)
+
+    @property
+    def events(self) -> list[Json]:
+        """Events of all finished frames, in order."""
+        return [event for line in self._lines for event in line["events"]]
+
+    def metrics(self, frame: int) -> dict[str, float]:
+        """Metrics of a finished frame by name; units as the metrics module defines them."""
+        return dict(self._lines[frame]["metrics"])
+
+    def positions(self, frame: int) -> NDArray[np.float32]:
+        """Positions of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+        Raises:
+            ResultError: The file is missing or damaged.
+        """
+        path = self._frame_path(frame)
+        with _reading(path):
+            positions: NDArray[np.float32] = np.load(path, allow_pickle=False)
+            if positions.shape != (self.run.particle_count, 3):
+                raise ValueError(f"holds an array of shape {positions.shape}")
+            return positions
+
+    def append(
+        self,
+        frame: int,
+        positions: NDArray[np.float32],
+        metrics: Mapping[str, float],
+        events: Sequence[Mapping[str, Any]] = (),
+    ) -> None:
+        """Add the next frame; when this returns, no crash can take it away.
+
+        Args:
+            frame: Its index, which is `frame_count`.
+            positions: Particle positions [dx], shape [n, 3], float32, original particle order.
+            metrics: Metrics by name; a frame may lack some.
+            events: JSON objects with frame, kind, message and data.
+
+        Raises:
+            ResultError: The disk refuses.
+            ValueError: The frame is not the next one, or the positions have another shape.
+        """
+        if frame != self.frame_count:
+            raise ValueError(f"frame {frame} after {self.frame_count} frames")
+        if positions.shape != (self.run.particle_count, 3):
+            raise ValueError(f"positions of shape {positions.shape}")
+        line: Json = {
+            "frame": frame,
+            "metrics": {name: float(value) for name, value in metrics.items()},
+            "events": list(events),
+        }
+        text = json.dumps(line, default=_plain) + "\n"
+        with _writing(self.path):
+            with replacing(self._frame_path(frame)) as path, path.open("wb") as file:
+                np.save(file, positions.astype(np.float32, copy=False), allow_pickle=False)
+            with (self.path / _LINES).open("ab", buffering=0) as lines:
+                lines.write(text.encode())
+                os.fsync(lines.fileno())
+        self._lines.append(json.loads(text))
+
+    def save_checkpoint(
+        self, frame: int, arrays: Mapping[str, NDArray[Any]], scalars: Mapping[str, Any]
+    ) -> None:
+        """Replace the checkpoint by the state after a finished frame.
+
+        Args:
+            frame: Index of the last frame the state includes.
+            arrays: All array state, any dtype but object.
+            scalars: All other state, JSON only.
+
+        Raises:
+            ResultError: The disk refuses; the previous checkpoint stands.
+            ValueError: The frame is not finished, or an array holds objects.
+        """
+        if not 0 <= frame < self.frame_count:
+            raise ValueError(f"checkpoint after frame {frame} of {self.frame_count}")
+        text = json.dumps({"frame": frame, "scalars": dict(scalars)}, default=_plain)
+        encoded = np.frombuffer(text.encode(), np.uint8)
+        with _writing(self.path), replacing(self.path / _CHECKPOINT) as path:
+            _save_arrays(path, {_SCALARS: encoded, **arrays})
+
+    def load_checkpoint(self) -> Checkpoint | None:
+        """The last checkpoint, or None where the run was killed before the first.
+
+        Raises:
+            ResultError: It is damaged.
+        """
+        path = self.path / _CHECKPOINT
+        if not path.exists():
+            return None
+        arrays = _load_arrays(path)
+        with _reading(path):
+            state = json.loads(arrays.pop(_SCALARS).tobytes())
+            return Checkpoint(state["frame"], arrays, state["scalars"])
+
+    def truncate_after(self, frame: int) -> None:
+        """Forget all frames beyond one, before the run goes on from its checkpoint.
+
+        Args:
+            frame: Index of the last frame to keep; -1 forgets all.
+
+        Raises:
+            ResultError: That frame is not there, or the disk refuses.
+        """
+        if frame >= self.frame_count:
+            raise _damaged(self.path, f"has a checkpoint after frame {frame} but not that frame")
+        kept = self._lines[: frame + 1]
+        frames = {self._frame_path(index) for index in range(len(kept))}
+        with _writing(self.path):
+            with replacing(self.path / _LINES) as path:
+                path.write_text("".join(json.dumps(line) + "\n" for line in kept), "utf-8")
+            for path in self.path.glob("frame-*"):
+                if path not in frames:
+                    path.unlink()
+        self._lines = kept
+
+    def remove(self) -> None:
+        """Delete the run directory, once the result file is written.
+
+        Raises:
+            ResultError: The disk refuses.
+        """
+        with _writing(self.path):
+            _clear(self.path)
+            self.close()
+            shutil.rmtree(self.path)
+
+    def close(self) -> None:
+        """Free the lock; the directory stays."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def __enter__(self) -> Spool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _frame_path(self, frame: int) -> Path:
+        return self.path / f"frame-{frame:06d}.npy"
+
+
+def _lock(path: Path) -> BinaryIO:
+    lock = acquire(path / "lock")
+    if lock is None:
+        raise ResultError(
+            f"Another process is writing the run at {path}.",
+            "Wait for it to end, or choose another result file with --out.",
+        )
+    return lock
+
+
+def _clear(path: Path) -> None:
+    (path / _RUN).unlink(missing_ok=True)  # first: without it, what is left is no run
+    for file in path.iterdir():
+        if file.name != "lock":
+            file.unlink()
+
+
+def _check_same(path: Path, stored: Json, wanted: Json) -> None:
+    for key in sorted(stored.keys() | wanted.keys()):
+        if stored.get(key) != wanted.get(key):
+            raise ResultError(
+                f"The unfinished run at {path} has another {_difference(key, stored, wanted)}.",
+                "Resume it with the same inputs, options and software, or delete that directory.",
+            )
+
+
+def _difference(key: str, stored: Any, wanted: Any) -> str:
+    """Dotted path of the first value that differs below a key, with both values if short."""
+    old, new = stored.get(key), wanted.get(key)
+    if isinstance(old, dict) and isinstance(new, dict):
+        inner = next(name for name in sorted(old | new) if old.get(name) != new.get(name))
+        return f"{key}.{_difference(inner, old, new)}"
+    return f"{key} ({old!r}, now {new!r})" if len(f"{old!r}{new!r}") < 160 else key
+
+
+def _read_lines(path: Path) -> list[Json]:
+    """All lines but a last one that a kill has torn, or that is being written."""
+    with _reading(path):
+        whole = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
+        return [json.loads(line) for line in whole]
+
+
+def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with _reading(path), np.load(path, allow_pickle=False) as stored:
+        return dict(stored)
+
+
+def _plain(value: Any) -> Any:
+    """NumPy values as JSON."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _damaged(path: Path, how: str) -> ResultError:
+    return ResultError(f"{path} {how}.", "Delete the run directory and start the run afresh.")
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise _damaged(path, f"cannot be read ({error})") from error
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write to {path} ({error.strerror or error}).",
+            "Free some disk space or choose another place with --out, then resume.",
+        ) from error
