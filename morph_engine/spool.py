@@ -1,19 +1,17 @@
 """The run directory `<result>.spool`: what a run has finished, safe at any instant.
 
 run.json and run.npz   the run record, written first
-frame-000000.npy       positions of one frame
-frames.jsonl           one line per finished frame: its metrics and events
+frame-000000.npz       one frame: positions, metrics, events
 checkpoint.npz         the state after one frame, from which the run continues bit for bit
 lock                   held by the one process that writes
 
-A frame counts once its line stands in frames.jsonl, and its positions are on the disk before that.
-The checkpoint decides where a run continues: frames beyond it are computed again.
+Each file appears or changes as a whole, so a kill at any instant leaves whole frames and a whole
+checkpoint. The checkpoint decides where a run continues: frames beyond it are computed again.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,9 +29,8 @@ from morph_engine.run_record import Json, RunRecord
 
 _RUN = "run.json"
 _ARRAYS = "run.npz"
-_LINES = "frames.jsonl"
 _CHECKPOINT = "checkpoint.npz"
-_SCALARS = "scalars.json"
+_JSON = "json"
 
 
 def spool_path(result_path: str | Path) -> Path:
@@ -70,7 +67,7 @@ class Spool:
         self.result_path = result_path
         self.run = run
         self._lock = lock
-        self._lines = _read_lines(self.path / _LINES)
+        self._notes = self._read_notes()  # metrics and events of each frame
 
     @classmethod
     def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
@@ -139,10 +136,7 @@ class Spool:
                 stored = RunRecord.restore(document, _load_arrays(path / _ARRAYS))
             if run is not None:
                 _check_same(path, document, run.document())
-            spool = cls(Path(result_path), stored, lock)
-            if writable:
-                spool.truncate_after(spool.frame_count - 1)  # what a kill left half written
-            return spool
+            return cls(Path(result_path), stored, lock)
         except BaseException:
             if lock is not None:
                 lock.close()
@@ -151,16 +145,16 @@ class Spool:
     @property
     def frame_count(self) -> int:
         """Number of finished frames; their indices run from 0."""
-        return len(self._lines)
+        return len(self._notes)
 
     @property
     def events(self) -> list[Json]:
         """Events of all finished frames, in order."""
-        return [event for line in self._lines for event in line["events"]]
+        return [event for notes in self._notes for event in notes["events"]]
 
     def metrics(self, frame: int) -> dict[str, float]:
         """Metrics of a finished frame by name; units as the metrics module defines them."""
-        return dict(self._lines[frame]["metrics"])
+        return dict(self._notes[frame]["metrics"])
 
     def positions(self, frame: int) -> NDArray[np.float32]:
         """Positions of a finished frame.
@@ -175,8 +169,9 @@ class Spool:
             ResultError: The file is missing or damaged.
         """
         path = self._frame_path(frame)
+        arrays = _load_arrays(path)
         with _reading(path):
-            positions: NDArray[np.float32] = np.load(path, allow_pickle=False)
+            positions: NDArray[np.float32] = arrays["positions"]
             if positions.shape != (self.run.particle_count, 3):
                 raise ValueError(f"holds an array of shape {positions.shape}")
             return positions
@@ -204,19 +199,14 @@ class Spool:
             raise ValueError(f"frame {frame} after {self.frame_count} frames")
         if positions.shape != (self.run.particle_count, 3):
             raise ValueError(f"positions of shape {positions.shape}")
-        line: Json = {
-            "frame": frame,
+        notes: Json = {
             "metrics": {name: float(value) for name, value in metrics.items()},
             "events": list(events),
         }
-        text = json.dumps(line, default=_plain) + "\n"
-        with _writing(self.path):
-            with replacing(self._frame_path(frame)) as path, path.open("wb") as file:
-                np.save(file, positions.astype(np.float32, copy=False), allow_pickle=False)
-            with (self.path / _LINES).open("ab", buffering=0) as lines:
-                lines.write(text.encode())
-                os.fsync(lines.fileno())
-        self._lines.append(json.loads(text))
+        encoded = _encode(notes)
+        with _writing(self.path), replacing(self._frame_path(frame)) as path:
+            _save_arrays(path, {_JSON: encoded, "positions": positions.astype(np.float32)})
+        self._notes.append(_decode(encoded))
 
     def save_checkpoint(
         self, frame: int, arrays: Mapping[str, NDArray[Any]], scalars: Mapping[str, Any]
@@ -234,10 +224,9 @@ class Spool:
         """
         if not 0 <= frame < self.frame_count:
             raise ValueError(f"checkpoint after frame {frame} of {self.frame_count}")
-        text = json.dumps({"frame": frame, "scalars": dict(scalars)}, default=_plain)
-        encoded = np.frombuffer(text.encode(), np.uint8)
+        encoded = _encode({"frame": frame, "scalars": dict(scalars)})
         with _writing(self.path), replacing(self.path / _CHECKPOINT) as path:
-            _save_arrays(path, {_SCALARS: encoded, **arrays})
+            _save_arrays(path, {_JSON: encoded, **arrays})
 
     def load_checkpoint(self) -> Checkpoint | None:
         """The last checkpoint, or None where the run was killed before the first.
@@ -250,7 +239,7 @@ class Spool:
             return None
         arrays = _load_arrays(path)
         with _reading(path):
-            state = json.loads(arrays.pop(_SCALARS).tobytes())
+            state = _decode(arrays.pop(_JSON))
             return Checkpoint(state["frame"], arrays, state["scalars"])
 
     def truncate_after(self, frame: int) -> None:
@@ -264,15 +253,10 @@ class Spool:
         """
         if frame >= self.frame_count:
             raise _damaged(self.path, f"has a checkpoint after frame {frame} but not that frame")
-        kept = self._lines[: frame + 1]
-        frames = {self._frame_path(index) for index in range(len(kept))}
         with _writing(self.path):
-            with replacing(self.path / _LINES) as path:
-                path.write_text("".join(json.dumps(line) + "\n" for line in kept), "utf-8")
-            for path in self.path.glob("frame-*"):
-                if path not in frames:
-                    path.unlink()
-        self._lines = kept
+            while self.frame_count > frame + 1:
+                self._frame_path(self.frame_count - 1).unlink()
+                self._notes.pop()
 
     def remove(self) -> None:
         """Delete the run directory, once the result file is written.
@@ -297,8 +281,15 @@ class Spool:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _read_notes(self) -> list[Json]:
+        notes: list[Json] = []
+        while (path := self._frame_path(len(notes))).exists():
+            with _stored(path) as arrays:
+                notes.append(_decode(arrays[_JSON]))
+        return notes
+
     def _frame_path(self, frame: int) -> Path:
-        return self.path / f"frame-{frame:06d}.npy"
+        return self.path / f"frame-{frame:06d}.npz"
 
 
 def _lock(path: Path) -> BinaryIO:
@@ -336,21 +327,30 @@ def _difference(key: str, stored: Any, wanted: Any) -> str:
     return f"{key} ({old!r}, now {new!r})" if len(f"{old!r}{new!r}") < 160 else key
 
 
-def _read_lines(path: Path) -> list[Json]:
-    """All lines but a last one that a kill has torn, or that is being written."""
-    with _reading(path):
-        whole = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
-        return [json.loads(line) for line in whole]
-
-
 def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    with _reading(path), np.load(path, allow_pickle=False) as stored:
-        return dict(stored)
+    with _stored(path) as arrays:
+        return dict(arrays)
+
+
+@contextmanager
+def _stored(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a file, each read when asked for."""
+    with _reading(path), path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        yield arrays
+
+
+def _encode(value: Json) -> NDArray[np.uint8]:
+    return np.frombuffer(json.dumps(value, default=_plain).encode(), np.uint8)
+
+
+def _decode(text: NDArray[np.uint8]) -> Json:
+    value: Json = json.loads(text.tobytes())
+    return value
 
 
 def _plain(value: Any) -> Any:

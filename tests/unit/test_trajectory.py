@@ -1,0 +1,187 @@
+"""The result file: what VTK reads is what was written, and damage is noticed."""
+
+import h5py
+import numpy as np
+import pytest
+import vtk
+from vtk.util.numpy_support import vtk_to_numpy
+
+from morph_engine.errors import ResultError
+from morph_engine.mesh import Mesh
+from morph_engine.run_record import RunRecord
+from morph_engine.spool import Spool
+from morph_engine.trajectory import Trajectory, write_result
+
+N, T = 500, 4
+GENERATOR = np.random.default_rng(11)
+POSITIONS = GENERATOR.normal(size=(T, N, 3)).astype(np.float32)
+TARGET = GENERATOR.normal(size=(300, 3)).astype(np.float32)
+CLOUD = GENERATOR.normal(size=(200, 3))
+METRICS = [{"s2t": 1 / (t + 3), "det_f_min": -1e-40 * t} for t in range(T)]
+METRICS[2]["hausdorff"] = 0.7
+EVENTS = [{"frame": 1, "kind": "halved", "message": "CFL η > 1", "data": {"step": 1}}]
+MESH = Mesh(np.eye(4)[:, :3], np.array([[0, 1, 2], [0, 3, 1]], np.int32), "wedge", "ab12")
+TRANSFORM = np.array([[2.0, 0, 0, 5], [0, 2, 0, 6], [0, 0, 2, 7], [0, 0, 0, 1]])
+RUN = RunRecord(
+    config={"physics": {"dt": 1 / 120}, "long": "x" * 100_000},
+    source=MESH,
+    target=CLOUD,
+    source_points=POSITIONS[0],
+    target_points=TARGET,
+    transform=TRANSFORM,
+    preset="fast",
+    preset_version=2,
+    seeds={"run": 2**63},
+)
+
+
+def write(path, *, frame_count=T, status="complete"):
+    """A result file of some frames."""
+    with Spool.create(path, RUN, replace=True) as spool:
+        for t in range(frame_count):
+            spool.append(t, POSITIONS[t], METRICS[t], EVENTS if t == 1 else [])
+        write_result(spool, status=status)
+        spool.remove()
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """One complete result file."""
+    return write(tmp_path_factory.mktemp("result") / "r.vtkhdf")
+
+
+def vtk_reader(path):
+    """VTK's own reader of a file it accepts."""
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(str(path))
+    assert reader.CanReadFile(str(path))
+    reader.UpdateInformation()
+    return reader
+
+
+def test_vtk_reads_every_step(result):
+    """VTK shows the points of each frame bit for bit, a vertex each, and its metrics."""
+    reader = vtk_reader(result)
+    assert reader.GetNumberOfSteps() == T
+    times = reader.GetOutputInformation(0).Get(vtk.vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+    assert times == (0, 1, 2, 3)
+    for t in (*range(T), 1):  # and back again
+        reader.SetStep(t)
+        reader.Update()
+        cloud = reader.GetOutput()
+        assert cloud.IsA("vtkPolyData")
+        np.testing.assert_array_equal(vtk_to_numpy(cloud.GetPoints().GetData()), POSITIONS[t])
+        verts = cloud.GetVerts()
+        np.testing.assert_array_equal(vtk_to_numpy(verts.GetConnectivityArray()), np.arange(N))
+        np.testing.assert_array_equal(vtk_to_numpy(verts.GetOffsetsArray()), np.arange(N + 1))
+        assert cloud.GetNumberOfCells() == N
+        fields = cloud.GetFieldData()
+        for name in ("s2t", "det_f_min", "hausdorff"):
+            value = vtk_to_numpy(fields.GetArray(name))
+            np.testing.assert_array_equal(value, [METRICS[t].get(name, np.nan)], strict=True)
+
+
+@pytest.mark.parametrize("frame_count", [0, 1])
+def test_vtk_reads_a_run_stopped_early(tmp_path, frame_count):
+    """A run stopped in its first or second frame leaves a file that VTK and we can read."""
+    path = write(tmp_path / "r.vtkhdf", frame_count=frame_count, status="partial")
+    reader = vtk_reader(path)
+    errors = []
+    reader.GetExecutive().AddObserver("ErrorEvent", lambda *event: errors.append(event))
+    reader.Update()
+    assert not errors
+    assert reader.GetOutput().GetNumberOfPoints() == frame_count * N
+    with Trajectory.open(path) as trajectory:
+        assert (trajectory.status, len(trajectory)) == ("partial", frame_count)
+        assert trajectory.particle_count == N
+        np.testing.assert_array_equal(trajectory.run.source_points, POSITIONS[0])
+
+
+def test_reader_gives_back_all(result):
+    """Frames, metrics, events and the run record come back exactly."""
+    with Trajectory.open(result) as trajectory:
+        assert trajectory.status == "complete"
+        assert (trajectory.frame_count, trajectory.particle_count) == (T, N)
+        np.testing.assert_array_equal(trajectory.times, np.arange(T))
+        np.testing.assert_array_equal(np.stack(list(trajectory)), POSITIONS, strict=True)
+        np.testing.assert_array_equal(trajectory.positions(-1), POSITIONS[-1])
+        assert [trajectory.metrics_at(t) for t in range(T)] == METRICS
+        np.testing.assert_array_equal(
+            trajectory.metrics["hausdorff"], [np.nan, np.nan, 0.7, np.nan]
+        )
+        assert trajectory.events == EVENTS
+        assert trajectory.config == RUN.config
+        assert trajectory.software == RUN.software
+        assert trajectory.run.document() == RUN.document()
+        assert trajectory.source.name == "wedge"
+        np.testing.assert_array_equal(trajectory.source.faces, MESH.faces, strict=True)
+        np.testing.assert_array_equal(trajectory.target, CLOUD, strict=True)
+        np.testing.assert_array_equal(trajectory.target_points, TARGET, strict=True)
+        # float64 arithmetic on both sides, in another order
+        np.testing.assert_allclose(
+            trajectory.positions_in_user_units(2), 2.0 * POSITIONS[2] + [5, 6, 7], rtol=1e-14
+        )
+
+
+def test_partial_result_and_continued_run_agree(tmp_path):
+    """A result may be written in the middle of a run, and again at its end."""
+    path = tmp_path / "r.vtkhdf"
+    with Spool.create(path, RUN) as spool:
+        for t in range(T):
+            spool.append(t, POSITIONS[t], METRICS[t])
+            write_result(spool, status="complete" if t == T - 1 else "partial")
+            with Trajectory.open(path) as trajectory:
+                np.testing.assert_array_equal(np.stack(list(trajectory)), POSITIONS[: t + 1])
+    assert {file.name for file in tmp_path.iterdir()} == {"r.vtkhdf", "r.vtkhdf.spool"}
+
+
+def test_flipped_bit_costs_one_frame(result, tmp_path):
+    """A frame with a flipped bit is refused by name; all other frames still read."""
+    data = bytearray(result.read_bytes())
+    data[data.index(POSITIONS[2].tobytes()) + 1000] ^= 4
+    damaged = tmp_path / "damaged.vtkhdf"
+    damaged.write_bytes(data)
+    with Trajectory.open(damaged) as trajectory:
+        with pytest.raises(ResultError, match="frame 2"):
+            trajectory.positions(2)
+        for t in (0, 1, 3):
+            np.testing.assert_array_equal(trajectory.positions(t), POSITIONS[t])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.999])
+def test_truncated_file_is_refused(result, tmp_path, share):
+    """A file cut short is an error with cause and remedy."""
+    data = result.read_bytes()
+    cut = tmp_path / "cut.vtkhdf"
+    cut.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(ResultError, match=r"cut\.vtkhdf") as caught:
+        Trajectory.open(cut)
+    assert caught.value.remedy
+
+
+def test_other_files_are_refused(tmp_path):
+    """A missing file, a mesh and another program's HDF5 file are errors, not tracebacks."""
+    with pytest.raises(ResultError, match="no result file"):
+        Trajectory.open(tmp_path / "missing.vtkhdf")
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\n")
+    with pytest.raises(ResultError, match="not a result file"):
+        Trajectory.open(tmp_path / "mesh.obj")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["data"] = 1
+    with pytest.raises(ResultError, match="not a result file"):
+        Trajectory.open(tmp_path / "other.h5")
+
+
+def test_frame_out_of_range(result):
+    """Asking for a frame that is not there says how many there are."""
+    with Trajectory.open(result) as trajectory, pytest.raises(ResultError, match="4 frames"):
+        trajectory.positions(T)
+
+
+def test_write_error_has_a_remedy(tmp_path):
+    """A result that cannot be written says where the frames are safe."""
+    with Spool.create(tmp_path / "r.vtkhdf", RUN) as spool:
+        spool.append(0, POSITIONS[0], METRICS[0])
+        with pytest.raises(ResultError, match="safe in"):
+            write_result(spool, tmp_path / "missing" / "r.vtkhdf", status="complete")
