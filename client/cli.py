@@ -1,0 +1,109 @@
+"""The `morph` command line: options in, engine called, a table or one JSON object out.
+
+Heavy modules are imported where they are used, so that `morph --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Literal
+
+import typer
+
+from client.errors import exit_status, print_json
+
+app = typer.Typer(
+    name="morph",
+    help="Morph one 3D shape into another by differentiable physics.",
+    epilog="Exit status: 0 success, 1 fault of the program (--debug shows the traceback), "
+    "2 bad input, 130 Ctrl-C.",
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def main() -> None:
+    """Entry point of the `morph` command."""
+    arguments = sys.argv[1:]
+    debug = "--debug" in arguments
+    if debug:
+        arguments.remove("--debug")
+    sys.exit(
+        exit_status(
+            lambda: app(arguments, prog_name="morph", standalone_mode=False),
+            as_json="--json" in arguments,
+            debug=debug,
+        )
+    )
+
+
+@app.callback()
+def morph(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Morph one 3D shape into another by differentiable physics."""
+    if version:
+        from importlib.metadata import version as version_of
+
+        typer.echo(f"chamfer-morph {version_of('chamfer-morph')}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def shapes(as_json: AsJson = False) -> None:
+    """List the built-in shapes."""
+    from morph_engine.shapes import names
+
+    if as_json:
+        print_json({"shapes": list(names())})
+    else:
+        typer.echo("\n".join(names()))
+
+
+@app.command()
+def metrics(
+    a: Annotated[
+        str, typer.Argument(metavar="A", help="Particles: a mesh, point cloud, result or shape.")
+    ],
+    b: Annotated[
+        str | None,
+        typer.Argument(metavar="[B]", help="Target, the same kinds; a result has its own."),
+    ] = None,
+    points_per_cell_edge: Annotated[
+        int | None, typer.Option(min=1, max=8, help="Lattice points per grid cell edge.")
+    ] = None,
+    reference: Annotated[
+        Literal["volume", "surface"], typer.Option(help="Fill meshes, or sample their surface.")
+    ] = "volume",
+    frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
+    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = 0.2,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how well A fills B: Chamfer, Hausdorff, F1, overlap, coverage, fill."""
+    from client.display import print_metrics
+    from morph_engine.comparison import compare
+
+    measurement = compare(
+        a,
+        b,
+        spacing=1 / points_per_cell_edge if points_per_cell_edge else None,
+        reference=reference,
+        frame=frame,
+        tau=tau,
+        workers=-1,
+    )
+    if as_json:
+        print_json(measurement.document())
+    else:
+        print_metrics(measurement.values)
+
+
+if __name__ == "__main__":
+    main()

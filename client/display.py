@@ -1,0 +1,121 @@
+"""What a person sees: live progress on standard error, tables on standard output."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from time import monotonic
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from morph_engine.morphing import Event, Frame
+
+
+class RunDisplay:
+    """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
+
+    On a terminal it is one live line; elsewhere each frame is a line of its own.
+
+    Args:
+        frame_count: Frames of the whole run.
+        first_frame: Index of the first frame still to compute.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, frame_count: int, *, first_frame: int = 0, quiet: bool = False) -> None:
+        self._console = Console(file=sys.stderr, quiet=quiet, highlight=False)
+        self._frame_count = frame_count
+        self._first_frame = first_frame
+        self._started = monotonic()
+        self._progress = Progress(
+            TextColumn("frame {task.completed}/{task.total}"),
+            BarColumn(),
+            TextColumn("{task.description}"),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._progress.add_task("preparing", total=frame_count, completed=first_frame)
+
+    def __enter__(self) -> RunDisplay:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def show(self, frame: Frame) -> None:
+        """Show a finished frame."""
+        for event in frame.events:
+            self._console.print(event_line(event))
+        done = frame.index + 1
+        left = (
+            (monotonic() - self._started) / (done - self._first_frame) * (self._frame_count - done)
+        )
+        text = f"{losses(frame.metrics)}  left {clock(left)}"
+        if self._progress.disable:
+            self._console.print(f"frame {done}/{self._frame_count}  {text}")
+        else:
+            self._progress.update(self._task, completed=done, description=text)
+
+
+def losses(metrics: Mapping[str, float]) -> str:
+    """The two numbers that tell how a run is going: loss and two-sided Chamfer distance [dx]."""
+    parts = [
+        f"{label} {metrics[name]:.4g}"
+        for label, name in (("loss", "loss_physics"), ("CD", "two_sided"))
+        if name in metrics
+    ]
+    return "  ".join(parts)
+
+
+def event_line(event: Event) -> str:
+    """One line for a watchdog event."""
+    return f"frame {event.frame + 1}: {event.message}"
+
+
+def clock(seconds: float) -> str:
+    """A duration as people read it: 0:07, 12:40, 1:02:03."""
+    minutes, second = divmod(round(seconds), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+
+
+def size(byte_count: float) -> str:
+    """A number of bytes as people read it: 512 MB, 1.3 GB."""
+    megabytes = byte_count / 1e6
+    return f"{megabytes / 1e3:.1f} GB" if megabytes >= 1000 else f"{megabytes:.0f} MB"
+
+
+def print_metrics(values: Mapping[str, float]) -> None:
+    """Metrics with their units and meanings on standard output."""
+    from morph_engine.metrics import METRICS
+
+    print_table(
+        ("metric", "value", "unit", "meaning"),
+        (
+            (name, f"{value:.4g}", METRICS[name].unit, METRICS[name].meaning)
+            for name, value in values.items()
+            if name in METRICS
+        ),
+    )
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table on standard output."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for column, name in enumerate(header):
+        table.add_column(name, overflow="fold", no_wrap=column == 0)
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False, soft_wrap=not sys.stdout.isatty()).print(table)

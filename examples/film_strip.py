@@ -1,0 +1,128 @@
+"""Draw frames of a result side by side, as in the README's picture.
+
+    python examples/film_strip.py sphere-to-bunny.vtkhdf docs/images/morph.png --frames 0 4 8 39
+
+Each particle is a small lit sphere and keeps the colour of its height in the source, so that one
+sees where matter goes. Only NumPy and Matplotlib are needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from morph_engine.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+LIGHT = np.array([-0.4, 0.6, 0.7]) / np.linalg.norm([-0.4, 0.6, 0.7])
+EYE_AZIMUTH, EYE_ELEVATION = np.radians([25.0, 15.0])
+
+
+def film_strip(
+    clouds: list[Array],
+    colors: Array,
+    *,
+    radius: float,
+    pixels: int = 420,
+    half_extent: float = 12.5,
+) -> Array:
+    """Render point clouds side by side.
+
+    Args:
+        clouds: Positions [dx], each of shape [n, 3], the y axis upwards.
+        colors: One colour per particle, shape [n, 3], 0 to 1.
+        radius: Radius of a particle [dx].
+        pixels: Edge of one square panel.
+        half_extent: What a panel shows, from its centre to its edge [dx].
+
+    Returns:
+        RGB image, shape [pixels, pixels * len(clouds), 3], 0 to 1.
+    """
+    return np.hstack([_panel(cloud, colors, radius, pixels, half_extent) for cloud in clouds])
+
+
+def _panel(cloud: Array, colors: Array, radius: float, pixels: int, half_extent: float) -> Array:
+    seen = (cloud - cloud.mean(axis=0)) @ _view().T
+    scale = pixels / (2 * half_extent)
+    column, row = pixels / 2 + scale * seen[:, 0], pixels / 2 - scale * seen[:, 1]
+
+    depth = np.full(pixels * pixels, -np.inf)
+    owner = np.full(pixels * pixels, -1)
+    normal = np.zeros((pixels * pixels, 3))
+    nearest_last = np.argsort(seen[:, 2])  # so that the front particle paints over the others
+    reach = int(np.ceil(radius * scale))
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            x = np.floor(column[nearest_last]).astype(int) + dx
+            y = np.floor(row[nearest_last]).astype(int) + dy
+            u = (x + 0.5 - column[nearest_last]) / (radius * scale)
+            v = (row[nearest_last] - y - 0.5) / (radius * scale)
+            inside = (u**2 + v**2 < 1) & (x >= 0) & (x < pixels) & (y >= 0) & (y < pixels)
+            particle = nearest_last[inside]
+            bulge = np.sqrt(1 - u[inside] ** 2 - v[inside] ** 2)
+            pixel = y[inside] * pixels + x[inside]
+            front = seen[particle, 2] + radius * bulge
+            order = np.argsort(front)
+            pixel, front, particle = pixel[order], front[order], particle[order]
+            facing = np.column_stack([u[inside], v[inside], bulge])[order]
+            last = np.unique(pixel[::-1], return_index=True)[1]
+            chosen = len(pixel) - 1 - last
+            wins = chosen[front[chosen] > depth[pixel[chosen]]]
+            depth[pixel[wins]] = front[wins]
+            owner[pixel[wins]] = particle[wins]
+            normal[pixel[wins]] = facing[wins]
+
+    image = np.ones((pixels * pixels, 3))
+    hit = owner >= 0
+    light = 0.45 + 0.55 * np.clip(normal[hit] @ LIGHT, 0, 1)
+    shade = light * _openness(depth.reshape(pixels, pixels), scale).ravel()[hit]
+    image[hit] = colors[owner[hit]] * shade[:, None]
+    return np.clip(image, 0, 1).reshape(pixels, pixels, 3)
+
+
+def _openness(depth: Array, scale: float) -> Array:
+    """Darkens what lies deeper than its surroundings, which makes creases readable."""
+    hit = np.isfinite(depth)
+    filled = np.where(hit, depth, 0.0)
+    weight = gaussian_filter(hit.astype(float), scale)
+    around = gaussian_filter(filled, scale) / np.maximum(weight, 1e-6)
+    return np.clip(1 + 0.35 * (filled - around), 0.45, 1.25)
+
+
+def _view() -> Array:
+    """Rotation from the domain to the eye, which looks along -z with y upwards."""
+    ca, sa = np.cos(EYE_AZIMUTH), np.sin(EYE_AZIMUTH)
+    ce, se = np.cos(EYE_ELEVATION), np.sin(EYE_ELEVATION)
+    turn = np.array([[ca, 0, -sa], [0, 1, 0], [sa, 0, ca]])
+    tilt = np.array([[1, 0, 0], [0, ce, -se], [0, se, ce]])
+    return tilt @ turn
+
+
+def main() -> None:
+    """Read the command line and write the picture."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("result", help="a .vtkhdf file")
+    parser.add_argument("picture", type=Path, help="the .png file to write")
+    parser.add_argument("--frames", type=int, nargs="+", default=[0, -1])
+    arguments = parser.parse_args()
+
+    with Trajectory(arguments.result) as result:
+        source = result.run.source_points.astype(np.float64)
+        target = result.target_points.astype(np.float64)
+        clouds = [source, *(result.positions(k).astype(np.float64) for k in arguments.frames)]
+    height = (source[:, 1] - source[:, 1].min()) / np.ptp(source[:, 1])
+    colors = matplotlib.colormaps["turbo"](0.1 + 0.8 * height)[:, :3]
+    spacing = (np.prod(np.ptp(target, axis=0)) / len(target)) ** (1 / 3)
+    image = film_strip(clouds, colors, radius=0.55 * spacing)
+    arguments.picture.parent.mkdir(parents=True, exist_ok=True)
+    matplotlib.image.imsave(arguments.picture, image)
+
+
+if __name__ == "__main__":
+    main()
