@@ -49,14 +49,14 @@ class Definition:
 
     Attributes:
         formula: Plain-text formula in the notation of this module.
-        unit: ``dx`` (grid units), ``h`` (sample spacings), ``share`` (0 to 1), ``count``,
-            ``ratio`` or ``-`` (a pure number).
+        unit: ``dx`` (grid units), ``dx/s``, ``h`` (sample spacings), ``share`` (0 to 1),
+            ``count``, ``ratio``, ``energy`` (mass dx^2 / s^2) or ``-`` (a pure number).
         better: Direction of improvement: ``lower``, ``higher``, or ``one`` (the nearer to 1).
         meaning: What the number tells, in a few words.
     """
 
     formula: str
-    unit: Literal["dx", "h", "share", "count", "ratio", "-"]
+    unit: Literal["dx", "dx/s", "h", "share", "count", "ratio", "energy", "-"]
     better: Literal["lower", "higher", "one"]
     meaning: str
 
@@ -131,6 +131,53 @@ METRICS: dict[str, Definition] = {
         "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
     ),
     "det_f_max": Definition("max_p det F_p", "ratio", "one", "strongest expansion"),
+    "max_speed": Definition("max_p |v_p|", "dx/s", "lower", "fastest particle"),
+    "kinetic_energy": Definition(
+        "1/2 sum_p m_p |v_p|^2", "energy", "lower", "motion left in the cloud"
+    ),
+    # what the optimiser sees (algorithm 3, 5.1)
+    "loss_physics": Definition(
+        "1/2 sum_i (ln(M_i + 1 + eps) - ln(M*_i + 1 + eps))^2",
+        "-",
+        "lower",
+        "grid mass loss over all nodes i, eps = 1e-4",
+    ),
+    "loss_chamfer": Definition(
+        "mean_p l(d_fwd) + w_rev mean_j l(d_rev)",
+        "-",
+        "lower",
+        "Chamfer loss before its weight, l quadratic then linear",
+    ),
+    # fill of the volume (algorithm 9.2), R = raster nodes of step dx/4 closer than 0.87 h
+    "iou": Definition(
+        "|R(x) n R(q)| / |R(x) u R(q)|", "share", "higher", "volume overlap of the two fills"
+    ),
+    "cover": Definition(
+        "|R(x) n R(q)| / |R(q)|", "share", "higher", "part of the target's volume that is filled"
+    ),
+    "spill": Definition(
+        "|R(x) - R(q)| / |R(x)|", "share", "lower", "part of the fill outside the target's volume"
+    ),
+}
+METRICS |= {
+    f"rho_p{percent:02}": Definition(
+        f"{percent} % quantile over j of (|{{p : |x_p - q_j| <= dx}}| / "
+        "|{i : |q_i - q_j| <= dx}|) / (N / M)",
+        "ratio",
+        "one",
+        f"density ratio that {percent} % of the target points stay below",
+    )
+    for percent in (1, 5, 50, 95, 99)
+}
+METRICS |= {
+    # against the target's mesh; O = particles of winding number < 1/2, d_S = distance to surface
+    "outside_share": Definition("|O| / N", "share", "lower", "particles outside the target mesh"),
+    "outside_mean": Definition(
+        "mean_{p in O} d_S(x_p)", "dx", "lower", "how far those are from its surface, 0 if none"
+    ),
+    "outside_max": Definition(
+        "max_{p in O} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
+    ),
 }
 
 
