@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import igl
 import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
-
-if TYPE_CHECKING:
-    from morph_engine.mesh import Mesh
+from morph_engine.mesh import Mesh
 
 Jitter = Literal["published", "none"]
 Fit = Literal["volume", "extent", "none"]
@@ -34,6 +32,9 @@ LATTICE_LIMIT = 50_000_000
 CHUNK = 1 << 20
 """Lattice points tested at once; bounds the memory of sampling to about 100 MB."""
 
+EDGES_PER_DIAGONAL = 20
+HALVING_LIMIT = 1_000_000
+
 FAST_WINDING_ERROR = 0.02
 """Bound on the error of the fast winding number away from the surface."""
 
@@ -50,8 +51,29 @@ def winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
         (Barill et al., "Fast winding numbers for soups and clouds", 2018).
     """
     queries = np.ascontiguousarray(points, np.float64)
-    faces = mesh.faces.astype(np.int64)
-    return np.asarray(igl.fast_winding_number(mesh.vertices, faces, queries), np.float64)
+    vertices, faces = _without_long_edges(mesh)
+    return np.asarray(igl.fast_winding_number(vertices, faces, queries), np.float64)
+
+
+def _without_long_edges(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Halve long triangles, which leaves every winding number as it is.
+
+    Slivers across the whole mesh, usual in letters and CAD models, defeat the tree of the fast
+    winding number: it then visits nearly every triangle for every point.
+    """
+    limit = np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / EDGES_PER_DIAGONAL
+    triangles = mesh.vertices[mesh.faces]
+    done = [triangles[:0]]
+    while len(triangles) and len(triangles) < HALVING_LIMIT:
+        length = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        long = length.max(axis=1) > limit
+        done.append(triangles[~long])
+        first = length[long].argmax(axis=1)[:, None] + np.arange(3)
+        a, b, c = np.moveaxis(triangles[long][np.arange(len(first))[:, None], first % 3], 1, 0)
+        middle = (a + b) / 2
+        triangles = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    corners = np.concatenate([*done, triangles]).reshape(-1, 3)
+    return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
 def inside(mesh: Mesh, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
@@ -100,15 +122,14 @@ def sample_lattice(
     Raises:
         MeshError: The lattice would be too large, or fewer than `minimum_count` points are inside.
     """
-    extent = np.ptp(mesh.vertices, axis=0)
-    if np.prod(extent / spacing + 2.0) > LATTICE_LIMIT:
+    lower, upper = mesh.bounds
+    if np.prod((upper - lower) / spacing + 2) > LATTICE_LIMIT:
         raise MeshError(
-            f"{mesh.name} is {size_text(extent)} grid units large and needs a lattice of more "
-            f"than {LATTICE_LIMIT:,} points.",
+            f"{mesh.name} needs a lattice of more than {LATTICE_LIMIT:,} points.",
             "Fit it to the domain with --fit volume or --fit extent.",
         )
     lattice = _published_lattice if jitter == "published" else _even_lattice
-    positions = np.concatenate([p[inside(mesh, p)] for p in lattice(mesh.vertices, spacing)])
+    positions = np.concatenate([p[inside(mesh, p)] for p in lattice(mesh, spacing)])
     if len(positions) < minimum_count:
         raise MeshError(
             f"{mesh.name} holds only {len(positions)} particles at a spacing of {spacing:.4g} "
@@ -118,7 +139,7 @@ def sample_lattice(
     return positions
 
 
-def _published_lattice(vertices: Floats, spacing: float) -> Iterator[npt.NDArray[np.float32]]:
+def _published_lattice(mesh: Mesh, spacing: float) -> Iterator[npt.NDArray[np.float32]]:
     """Lattice of the authors' program in its own float32 arithmetic, a chunk at a time.
 
     One 32-bit Mersenne twister draw per coordinate; their compiler (GCC) evaluates the three
@@ -126,19 +147,18 @@ def _published_lattice(vertices: Floats, spacing: float) -> Iterator[npt.NDArray
     """
     step = np.float32(spacing)
     reach = np.float32(0.1) * step
-    lower = vertices.min(axis=0).astype(np.float32)
-    upper = vertices.max(axis=0).astype(np.float32)
+    lower, upper = mesh.bounds.astype(np.float32)
     shape = np.ceil((upper - lower) / step).astype(int) + 1
-    twister = np.random.RandomState(42)  # noqa: NPY002  (the generator that was published)
+    twister = np.random.RandomState(42)
     for index in _lattice_indices(shape):
         draws = twister.randint(0, 1 << 32, index.shape, np.uint32).astype(np.float32)
         unit = draws * np.float32(2.0**-32)
         yield lower + step * index + (2 * reach * unit - reach)[:, ::-1]
 
 
-def _even_lattice(vertices: Floats, spacing: float) -> Iterator[npt.NDArray[np.float32]]:
+def _even_lattice(mesh: Mesh, spacing: float) -> Iterator[npt.NDArray[np.float32]]:
     """Lattice centred in the bounding box, between 0 and half a spacing inside it."""
-    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    lower, upper = mesh.bounds
     shape = np.maximum(np.ceil((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper - spacing * (shape - 1)) / 2
     for index in _lattice_indices(shape):
@@ -162,7 +182,8 @@ class Similarity:
 
     def apply(self, points: npt.ArrayLike) -> Floats:
         """Map points, shape [..., 3]; returns float64 of the same shape."""
-        return self.scale * np.asarray(points, np.float64) + np.asarray(self.offset)
+        grid: Floats = self.scale * np.asarray(points, np.float64) + np.asarray(self.offset)
+        return grid
 
     def inverse(self) -> Similarity:
         """Return the map from grid units back to user coordinates."""
@@ -194,15 +215,10 @@ def fit_to_domain(
     """
     if mode == "none":
         return mesh, Similarity()
-    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    lower, upper = mesh.bounds
     scale = 2 * half_extent / float((upper - lower).max())
     if mode == "volume":
         scale = min(scale, float(np.cbrt(reference_volume / mesh.volume)))
     x, y, z = (-scale * (lower + upper) / 2).tolist()
     similarity = Similarity(scale, (x, y, z))
     return replace(mesh, vertices=similarity.apply(mesh.vertices)), similarity
-
-
-def size_text(extent: npt.ArrayLike) -> str:
-    """Write three lengths for a reader: `27.7 x 27.7 x 14`."""
-    return " x ".join(f"{length:.3g}" for length in np.asarray(extent, np.float64))

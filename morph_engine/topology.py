@@ -1,0 +1,116 @@
+"""How the triangles of a mesh hang together: parts, Euler number, openings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+WELD_TOLERANCE = 1e-6
+"""Vertices closer than this share of the mesh's size count as one (STL stores each face apart)."""
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A connected set of edges along which a surface is open.
+
+    Attributes:
+        edge_count: Number of its edges.
+        centre: Centre of its bounding box.
+        size: Edge lengths of its bounding box.
+    """
+
+    edge_count: int
+    centre: Vector
+    size: Vector
+
+
+class Topology:
+    """Connectivity of a triangle mesh after welding equal positions.
+
+    Args:
+        vertices: Corner positions, shape [v, 3], float64.
+        faces: Vertex indices, shape [f, 3], int32.
+
+    Attributes:
+        watertight: Every edge joins exactly two faces, and their orientations agree.
+        component_count: Number of parts that share no vertex.
+        euler: Vertices - edges + faces.
+        open_edges: Edges passed more often in one direction than in the other, shape [e, 2], int64.
+        component_volumes: Signed volume of each part, shape [component_count], float64.
+    """
+
+    def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
+        lower = vertices.min(axis=0)
+        size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        cells = np.rint((vertices - lower) / (WELD_TOLERANCE * size)).astype(np.int64)
+        _, first, welded = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        self._points = vertices[first]
+        corners = welded.reshape(-1)[faces]
+        distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+        self._faces = corners[distinct]
+
+        directed = self._faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        edges, edge_of, uses = np.unique(
+            np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+        )
+        forward = np.where(directed[:, 0] < directed[:, 1], 1, -1)
+        balance = np.bincount(edge_of.reshape(-1), weights=forward, minlength=len(edges))
+        self.open_edges = edges[balance != 0]
+        self.watertight = bool(((uses == 2) & (balance == 0)).all())
+
+        used, labels = _components(edges)
+        self.component_count = int(labels.max(initial=-1)) + 1
+        self.euler = len(used) - len(edges) + len(self._faces)
+        part = labels[np.searchsorted(used, self._faces[:, 0])]
+        self.component_volumes = np.bincount(
+            part, weights=_face_volumes(self._points, self._faces), minlength=self.component_count
+        )
+
+    @cached_property
+    def openings(self) -> tuple[Opening, ...]:
+        """Connected sets of open edges, the longest first."""
+        used, labels = _components(self.open_edges)
+        part = labels[np.searchsorted(used, self.open_edges[:, 0])]
+        ends = self._points[self.open_edges]
+        length = np.bincount(part, weights=np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+        return tuple(_opening(ends[part == label]) for label in np.argsort(-length))
+
+
+def signed_volume(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> float:
+    """Signed volume under a triangle soup; overlapping parts count twice."""
+    return float(_face_volumes(vertices, faces).sum())
+
+
+def _face_volumes(
+    vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
+) -> npt.NDArray[np.float64]:
+    """Signed volume of the tetrahedra between each face and the centre of the bounding box."""
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    a, b, c = np.moveaxis((vertices - centre)[faces], 1, 0)
+    volumes: npt.NDArray[np.float64] = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6
+    return volumes
+
+
+def _components(
+    edges: npt.NDArray[np.int64],
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Vertices of a graph in ascending order, and the component that each belongs to."""
+    used, ends = np.unique(edges, return_inverse=True)
+    a, b = ends.reshape(-1, 2).T
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(used), len(used)))
+    return used, connected_components(graph, directed=False)[1]
+
+
+def _opening(ends: npt.NDArray[np.float64]) -> Opening:
+    points = ends.reshape(-1, 3)
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    return Opening(
+        len(ends), tuple(((lower + upper) / 2).tolist()), tuple((upper - lower).tolist())
+    )
