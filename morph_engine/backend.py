@@ -1,0 +1,184 @@
+"""The one place that starts Taichi: device, precision, threads and array allocation.
+
+Kernels everywhere else are module-level functions over `ti.ndarray` arguments, so one compilation
+serves every particle count and is kept in Taichi's offline cache between processes.
+
+Two execution styles share each scattering kernel:
+
+* on a CPU a fixed number of chunks, each serial and with private memory, reduced in a fixed order:
+  no atomics, and results do not depend on the number of threads;
+* on a GPU one chunk per item and atomic additions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from ctypes.util import find_library
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine.errors import DeviceError
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+import taichi as ti  # noqa: E402
+from taichi.lang.misc import is_arch_supported  # noqa: E402
+
+Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
+Precision = Literal["float32", "float64"]
+
+# Taichi 1.7 runs a CPU loop of up to 512 iterations on one thread, so chunk c is iteration c * 512.
+CPU_CHUNK_STRIDE = 512
+CPU_CHUNK_COUNT = 8
+
+
+@dataclass(frozen=True)
+class Backend:
+    """What Taichi was started with.
+
+    Attributes:
+        device: The device in use, never "auto".
+        threads: CPU threads; 0 lets Taichi take every core.
+        precision: Type of every real number on the device.
+    """
+
+    device: str
+    threads: int
+    precision: Precision
+
+    @property
+    def on_cpu(self) -> bool:
+        """Whether kernels run on the CPU, in chunks and without atomics."""
+        return self.device == "cpu"
+
+    @property
+    def real(self) -> Any:
+        """The Taichi type of every real number on the device."""
+        return ti.f64 if self.precision == "float64" else ti.f32
+
+    @property
+    def numpy_real(self) -> type[np.floating[Any]]:
+        """The NumPy type of every real number on the device."""
+        return np.float64 if self.precision == "float64" else np.float32
+
+    def chunks(self, item_count: int) -> tuple[int, int, int]:
+        """Split `item_count` items for a scattering kernel.
+
+        Returns:
+            Chunk count, items per chunk, and loop stride between chunks.
+        """
+        if not self.on_cpu:
+            return item_count, 1, 1
+        return CPU_CHUNK_COUNT, -(-item_count // CPU_CHUNK_COUNT), CPU_CHUNK_STRIDE
+
+    def scalars(self, count: int) -> Any:
+        """A zeroed device array of reals, shape [count]."""
+        return _zeroed(ti.ndarray(self.real, count))
+
+    def integers(self, count: int) -> Any:
+        """A zeroed device array of int32, shape [count]."""
+        return _zeroed(ti.ndarray(ti.i32, count))
+
+    def integer_pairs(self, count: int) -> Any:
+        """A zeroed device array of int32 pairs, shape [count, 2]."""
+        return _zeroed(ti.Vector.ndarray(2, ti.i32, count))
+
+    def vectors(self, count: int, width: int = 3) -> Any:
+        """A zeroed device array of real vectors, shape [count, width]."""
+        return _zeroed(ti.Vector.ndarray(width, self.real, count))
+
+    def matrices(self, count: int) -> Any:
+        """A zeroed device array of real 3x3 matrices, shape [count, 3, 3]."""
+        return _zeroed(ti.Matrix.ndarray(3, 3, self.real, count))
+
+    def upload(self, values: NDArray[Any]) -> Any:
+        """Copy a host array, shape [n], [n, w] or [n, 3, 3], to a new device array of reals."""
+        array = {1: self.scalars, 2: self.vectors, 3: self.matrices}[values.ndim](
+            *((len(values), values.shape[1]) if values.ndim == 2 else (len(values),))
+        )
+        array.from_numpy(np.ascontiguousarray(values, dtype=self.numpy_real))
+        return array
+
+
+def _zeroed(array: Any) -> Any:
+    array.fill(0)
+    return array
+
+
+_active: Backend | None = None
+
+
+def start(
+    device: Device = "auto", *, threads: int = 0, precision: Precision = "float32"
+) -> Backend:
+    """Start Taichi, or keep it when it already runs with the same settings.
+
+    Restarting with other settings invalidates every device array made before.
+
+    Args:
+        device: "auto" takes CUDA, then Metal on a Mac, then the CPU.
+        threads: CPU threads; 0 takes every core.
+        precision: Type of every real number on the device.
+
+    Raises:
+        DeviceError: The device is not available, or cannot compute in this precision.
+    """
+    global _active
+    wanted = Backend(_choose(device), threads, precision)
+    if wanted == _active:
+        return wanted
+    if precision == "float64" and wanted.device in ("metal", "vulkan"):
+        raise DeviceError(
+            f"The device {wanted.device} does not compute in float64.",
+            "Use --device cpu or cuda, or float32.",
+        )
+    options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
+    with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
+        ti.init(
+            arch=getattr(ti, wanted.device),
+            default_fp=wanted.real,
+            default_ip=ti.i32,
+            offline_cache=True,
+            fast_math=False,  # keeps NaN tests meaningful, and gains nothing here
+            log_level=ti.ERROR,
+            **options,
+        )
+    _active = wanted
+    return wanted
+
+
+def active() -> Backend:
+    """The running backend; starts the default one when none runs yet."""
+    return _active or start()
+
+
+def available_devices() -> tuple[str, ...]:
+    """Devices that Taichi can start on this machine, best first."""
+    return tuple(name for name in ("cuda", "metal", "vulkan", "cpu") if _is_available(name))
+
+
+def _is_available(name: str) -> bool:
+    # Taichi logs a warning when asked about CUDA without its driver library, so look first.
+    if name == "cuda" and find_library("cuda") is None:
+        return False
+    return bool(is_arch_supported(getattr(ti, name)))
+
+
+def _choose(device: str) -> str:
+    if device == "auto":
+        return next(name for name in ("cuda", "metal", "cpu") if _is_available(name))
+    if device not in ("cpu", "cuda", "vulkan", "metal"):
+        raise DeviceError(
+            f"There is no device called {device!r}.",
+            "Choose one of auto, cpu, cuda, vulkan, metal.",
+        )
+    if not _is_available(device):
+        raise DeviceError(
+            f"The device {device} is not available on this machine.",
+            f"Choose one of {', '.join(available_devices())}, or auto.",
+        )
+    return device

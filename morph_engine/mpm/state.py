@@ -1,0 +1,84 @@
+"""Particle state of one frame, layer by layer (algorithm 2.7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine import backend
+
+Array = NDArray[Any]
+
+
+@dataclass
+class Particles:
+    """Host copy of a particle state.
+
+    Attributes:
+        x: Positions [dx], shape [n, 3].
+        v: Velocities [dx/s], shape [n, 3].
+        C: Affine velocity matrices [1/s], shape [n, 3, 3].
+        F: Deformation gradients, shape [n, 3, 3].
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+
+    @classmethod
+    def at_rest(cls, positions: Array) -> Particles:
+        """Undeformed particles without velocity (algorithm 1.3)."""
+        n = len(positions)
+        return cls(
+            x=np.array(positions),
+            v=np.zeros((n, 3), positions.dtype),
+            C=np.zeros((n, 3, 3), positions.dtype),
+            F=np.tile(np.eye(3, dtype=positions.dtype), (n, 1, 1)),
+        )
+
+    def permuted(self, order: NDArray[np.intp]) -> Particles:
+        """The same particles in another order."""
+        return Particles(self.x[order], self.v[order], self.C[order], self.F[order])
+
+
+class Layer:
+    """Device arrays of one time level: x, v, C, F as in `Particles`."""
+
+    def __init__(self, particle_count: int) -> None:
+        device = backend.active()
+        self.x = device.vectors(particle_count)
+        self.v = device.vectors(particle_count)
+        self.C = device.matrices(particle_count)
+        self.F = device.matrices(particle_count)
+
+    def upload(self, particles: Particles) -> None:
+        """Copy a host state to the device."""
+        real = backend.active().numpy_real
+        for name in ("x", "v", "C", "F"):
+            getattr(self, name).from_numpy(np.ascontiguousarray(getattr(particles, name), real))
+
+    def download(self) -> Particles:
+        """Copy the state to the host."""
+        return Particles(
+            self.x.to_numpy(), self.v.to_numpy(), self.C.to_numpy(), self.F.to_numpy()
+        )
+
+    def clear(self) -> None:
+        """Set everything to zero."""
+        for array in (self.x, self.v, self.C, self.F):
+            array.fill(0)
+
+
+class Transition:
+    """Device arrays of one time step: control U, its gradient, rotations R, grid (v, M)."""
+
+    def __init__(self, particle_count: int, node_count: int, *, rotations: bool) -> None:
+        device = backend.active()
+        self.U = device.matrices(particle_count)
+        self.U_bar = device.matrices(particle_count)
+        self.R = device.matrices(particle_count if rotations else 1)
+        self.grid = device.vectors(node_count, 4)
