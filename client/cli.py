@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from client.errors import exit_status, print_json
+from client.errors import BAD_INPUT, error_document, exit_status, print_json
+from morph_engine.errors import MorphError
 
 app = typer.Typer(
     name="morph",
@@ -24,6 +25,9 @@ app = typer.Typer(
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
 
+FIT_HELP = "Scale to the usual volume, to touch the domain, or keep the file's coordinates."
+
+Fit = Literal["volume", "extent", "none"]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -65,6 +69,34 @@ def shapes(as_json: AsJson = False) -> None:
         print_json({"shapes": list(names())})
     else:
         typer.echo("\n".join(names()))
+
+
+@app.command()
+def inspect(
+    mesh: Annotated[str, typer.Argument(metavar="MESH", help=SHAPE_HELP)],
+    fit: Annotated[Fit, typer.Option(help=FIT_HELP)] = "none",
+    as_json: AsJson = False,
+) -> None:
+    """Describe a mesh: closed?, volume, particles, expected time and memory; 2 if unusable."""
+    from client.display import print_report
+    from morph_engine.ingest import check_mesh, inspect_mesh
+    from morph_engine.sampling import fit_to_domain
+    from morph_engine.shapes import resolve_shape
+
+    fitted, _ = fit_to_domain(resolve_shape(mesh), mode=fit)
+    report = inspect_mesh(fitted)
+    try:
+        check_mesh(fitted)
+    except MorphError as error:
+        if as_json:
+            print_json(report.model_dump(mode="json") | error_document(error))
+            raise typer.Exit(BAD_INPUT) from error
+        print_report(report)
+        raise
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        print_report(report)
 
 
 @app.command()

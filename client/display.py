@@ -15,6 +15,8 @@ from rich.table import Table
 if TYPE_CHECKING:
     from morph_engine.morphing import Event, Frame
 
+    from morph_engine.ingest import IngestReport
+
 
 class RunDisplay:
     """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
@@ -95,6 +97,42 @@ def size(byte_count: float) -> str:
     """A number of bytes as people read it: 512 MB, 1.3 GB."""
     megabytes = byte_count / 1e6
     return f"{megabytes / 1e3:.1f} GB" if megabytes >= 1000 else f"{megabytes:.0f} MB"
+
+
+def print_report(report: IngestReport) -> None:
+    """What the engine sees in a mesh, on standard output."""
+    lower, upper = report.bounds
+    yes_no = {True: "yes", False: "no"}
+    print_table(
+        ("mesh", report.name),
+        (
+            ("vertices, faces", f"{report.vertex_count}, {report.face_count}"),
+            ("parts, Euler number", f"{report.component_count}, {report.euler}"),
+            ("watertight", yes_no[report.watertight]),
+            ("open edges", f"{report.open_edge_count}"),
+            ("ambiguous winding", f"{report.ambiguous_winding:.2%}"),
+            ("volume", f"{report.volume:.6g}"),
+            ("from", " ".join(f"{value:.4g}" for value in lower)),
+            ("to", " ".join(f"{value:.4g}" for value in upper)),
+            ("fits the domain", yes_no[report.fits_domain]),
+        ),
+    )
+    if report.resolutions:
+        sys.stdout.write("\n")
+        print_table(
+            ("points per cell edge", "particles", "time", "memory"),
+            (
+                (
+                    f"{resolution.points_per_cell_edge}",
+                    f"{resolution.particle_count}",
+                    clock(resolution.estimate.seconds),
+                    size(resolution.estimate.memory_mb * 1e6),
+                )
+                for resolution in report.resolutions
+            ),
+        )
+    for warning in report.warnings:
+        sys.stdout.write(f"\n{warning}\n")
 
 
 def print_metrics(values: Mapping[str, float]) -> None:

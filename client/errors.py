@@ -30,26 +30,34 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
     try:
         return command() or 0
     except MorphError as error:
-        cause, remedy, status = error.cause, error.remedy, BAD_INPUT
+        problem, status = error, BAD_INPUT
     except typer.TyperException as error:
-        cause, remedy, status = _usage(error)
+        problem, status = _usage(error), BAD_INPUT
     except KeyboardInterrupt:
-        cause, remedy, status = "Stopped by Ctrl-C.", "Run the command again.", INTERRUPTED
+        problem, status = MorphError("Stopped by Ctrl-C.", "Run the command again."), INTERRUPTED
     except BrokenPipeError:
         # whoever read our output has enough; keep the interpreter's last flush quiet
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:
-        cause = "There is not enough memory for this."
-        remedy, status = "Use fewer points per cell edge, or free memory.", BAD_INPUT
+        problem = MorphError(
+            "There is not enough memory for this.",
+            "Use fewer points per cell edge, or free memory.",
+        )
+        status = BAD_INPUT
     except Exception as error:
         if debug:
             raise
-        cause, remedy, status = *_report(error), UNEXPECTED
+        problem, status = _fault(error), UNEXPECTED
     if as_json:
-        print_json({"error": {"cause": cause, "remedy": remedy}})
-    sys.stderr.write(f"{cause}\n{remedy}\n")
+        print_json(error_document(problem))
+    sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
     return status
+
+
+def error_document(error: MorphError) -> dict[str, dict[str, str]]:
+    """An error as the JSON that every command prints for it."""
+    return {"error": {"cause": error.cause, "remedy": error.remedy}}
 
 
 def print_json(document: object) -> None:
@@ -69,14 +77,13 @@ def _finite(value: object) -> object:
     return value
 
 
-def _usage(error: typer.TyperException) -> tuple[str, str, int]:
+def _usage(error: typer.TyperException) -> MorphError:
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "morph"
-    cause = error.format_message().rstrip(".")
-    return f"{cause}.", f"See {command} --help.", BAD_INPUT
+    return MorphError(f"{error.format_message().rstrip('.')}.", f"See {command} --help.")
 
 
-def _report(error: Exception) -> tuple[str, str]:
+def _fault(error: Exception) -> MorphError:
     frame = error.__traceback__
     while frame and frame.tb_next:
         frame = frame.tb_next
@@ -85,7 +92,7 @@ def _report(error: Exception) -> tuple[str, str]:
         code = frame.tb_frame.f_code
         place = f" in {os.path.basename(code.co_filename)}, line {frame.tb_lineno}"
     version = metadata.version("chamfer-morph")
-    return (
+    return MorphError(
         f"This is a fault of the program: {type(error).__name__}: {error}{place}.",
         f"Please report that line, your command, chamfer-morph {version}, Python "
         f"{platform.python_version()} and {platform.platform()}; --debug shows the traceback.",
