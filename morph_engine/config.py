@@ -1,0 +1,312 @@
+"""The configuration of a morph: nested, frozen models with units and bounds.
+
+Every number that shapes a result is here, and every result stores the configuration that made it.
+Presets (`presets.py`) are complete configurations; `configure` picks one and overrides fields by
+path, as in `configure("fast", {"chamfer.weight": 5})`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from morph_engine.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+SOUND_STEPS_PER_CELL = 0.7
+"""Largest stable dt * c / dx, c the elastic wave speed. Explicit MPM at the published stiffness
+runs at 0.38; sphere -> bunny first fails its watchdog beyond 0.7."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+class GridConfig(_Section):
+    """Background grid (algorithm 0, 2.1)."""
+
+    dx: Positive = Field(1.0, description="Node spacing, the unit of length of everything else.")
+    half_extent: Positive = Field(16.0, description="The domain is [-this, this]^3 [grid units].")
+    kernel: Literal["cubic", "quadratic"] = Field("cubic", description="B-spline interpolation.")
+
+
+class SamplingConfig(_Section):
+    """Particles from shapes (algorithm 1)."""
+
+    points_per_cell_edge: int = Field(3, ge=1, le=8, description="Lattice points per dx and axis.")
+    lattice: Literal["published", "even"] = Field(
+        "published", description="Jittered from the bounding box corner, or even and jitter-free."
+    )
+    fit: Literal["none", "volume", "extent"] = Field(
+        "none", description="Scale and centre the meshes to a common volume or to the domain."
+    )
+    rest_volume: Literal["density", "lattice"] = Field(
+        "density", description="Rest volumes from the density estimate of algorithm 1.3, or h^3."
+    )
+
+
+class MaterialConfig(_Section):
+    """Elastic material (algorithm 0, 2.2, 2.8)."""
+
+    model: Literal["neo_hookean", "fixed_corotated"] = "neo_hookean"
+    youngs_modulus: Positive = Field(140000.0, description="E [mass / (grid unit s^2)].")
+    poisson_ratio: float = Field(0.2, gt=-1, lt=0.5, description="nu.")
+    density: Positive = Field(75.0, description="Mass per cubic grid unit.")
+    drag: NonNegative = Field(0.5, description="Drag on momentum [1/s].")
+
+    @property
+    def lame_lambda(self) -> float:
+        """First Lame parameter."""
+        nu = self.poisson_ratio
+        return self.youngs_modulus * nu / ((1 + nu) * (1 - 2 * nu))
+
+    @property
+    def lame_mu(self) -> float:
+        """Shear modulus."""
+        return self.youngs_modulus / (2 * (1 + self.poisson_ratio))
+
+    @property
+    def sound_speed(self) -> float:
+        """Speed of elastic pressure waves [grid units / s]."""
+        return float(((self.lame_lambda + 2 * self.lame_mu) / self.density) ** 0.5)
+
+
+class TimeConfig(_Section):
+    """Time stepping (algorithm 0)."""
+
+    dt: Positive = Field(1 / 120, description="Time step [s].")
+    transitions_per_frame: int = Field(9, ge=1, le=100, description="Time steps per frame.")
+
+
+class SmoothingConfig(_Section):
+    """Blend s of the new deformation gradient with the old one (algorithm 2.6)."""
+
+    values: tuple[Fraction, ...] = Field((0.88, 0.90, 0.92), description="s, phase by phase.")
+    first_frames: tuple[int, ...] = Field((0, 10, 30), description="First frame of each phase.")
+    late_value: Fraction | None = Field(0.7, description="s once Chamfer is established; None off.")
+    late_frame: int = Field(15, ge=0, description="Frame from which `late_value` holds.")
+    late_for_physics: bool = Field(False, description="Use `late_value` without Chamfer as well.")
+
+    @model_validator(mode="after")
+    def _phases_ascend(self) -> SmoothingConfig:
+        starts = self.first_frames
+        if len(starts) != len(self.values) or not starts or starts[0] != 0:
+            raise ValueError("first_frames starts with 0 and has one entry per value")
+        if list(starts) != sorted(set(starts)):
+            raise ValueError("first_frames ascends strictly")
+        return self
+
+
+class AdjointConfig(_Section):
+    """Departures of the published program from the exact adjoint (algorithm 4.6)."""
+
+    drop_smoothing: bool = Field(False, description="Leave (1 - s) out of the path from F to C.")
+    carry_control: bool = Field(False, description="Add s F_bar' to the control gradient.")
+    drop_drag: bool = Field(False, description="Leave drag out of the weights' derivative.")
+
+
+class GridLossConfig(_Section):
+    """Grid mass loss (algorithm 3) and its weight over frames (algorithm 7.2, 7.3)."""
+
+    outside_factor: Positive = Field(5.0, description="Gradient factor where the target is empty.")
+    final_weight: Fraction = Field(0.5, description="w_phys after its decay.")
+    decay_start: int = Field(15, ge=0, description="Frame at which w_phys begins to fall.")
+    decay_frames: Count = Field(5, description="Frames over which w_phys falls.")
+    weight_mode: Literal["coupling_only", "chain", "literal"] = Field(
+        "coupling_only",
+        description="Where w_phys acts: on the reverse weight only, also on the adjoint of passes "
+        "after the first, or on the loss as the paper writes it.",
+    )
+
+
+class ChamferConfig(_Section):
+    """Bidirectional Chamfer loss (algorithm 5) and its weight over frames (algorithm 7.1)."""
+
+    weight: NonNegative = Field(10.0, description="w_ch after its ramp.")
+    start_frame: int = Field(5, ge=0, description="Frame at which the ramp begins.")
+    ramp_frames: Count = Field(10, description="Frames over which w_ch rises.")
+    normalise: bool = Field(True, description="Scale by L_phys / L_ch each control step.")
+    huber_delta: NonNegative = Field(1.5, description="Linear beyond this distance; 0: squared.")
+    reverse_weight: NonNegative = Field(1.0, description="Weight of the target->source term.")
+    reverse_coupled: bool = Field(True, description="Multiply the reverse weight by w_phys.")
+    reverse_clamp: NonNegative = Field(3.0, description="kappa: clamp to this mean; 0 is off.")
+    reverse_smoothing: NonNegative = Field(2.0, description="Gaussian sigma [dx]; 0 is off.")
+    neighborhood: Literal["exact", "published"] = Field(
+        "exact", description="All neighbours, or only those in the 27 cells around a point."
+    )
+
+
+class OptimizerConfig(_Section):
+    """Optimisation of one frame (algorithm 6)."""
+
+    strategy: Literal["sequential", "simultaneous"] = Field(
+        "simultaneous",
+        description="Update one control layer per adjoint sweep, or all layers from one sweep.",
+    )
+    passes: Count = Field(3, description="Passes over the control layers per frame.")
+    step: Positive = Field(0.01, description="alpha_0, first trial step of the line search.")
+    line_search_trials: int = Field(5, ge=1, le=30)
+    line_search_factor: float = Field(0.5, gt=0, lt=1)
+    target_norm: Positive = Field(2500.0, description="Gradient norm above which steps shrink.")
+    smallest_scale: Fraction = Field(0.1, description="Lower bound of that shrinkage.")
+    normalise_by: Literal["physics", "total"] = Field(
+        "total", description="Gradient norm that scales the update."
+    )
+    beta1: float = Field(0.9, ge=0, lt=1)
+    beta2: float = Field(0.999, ge=0, lt=1)
+    epsilon: Positive = Field(1e-3, description="Added to the root of the second moment.")
+    shared_counter: bool = Field(
+        False, description="One step counter for all layers of a frame, as published."
+    )
+
+
+class WatchdogConfig(_Section):
+    """What makes a trial unacceptable, and what happens then."""
+
+    domain_margin: NonNegative = Field(
+        0.0, description="Particles keep this far from the walls [dx]."
+    )
+    cells_per_step: Positive = Field(0.5, description="Largest movement in one time step [dx].")
+    restarts: int = Field(6, ge=0, le=20, description="Restarts of a frame at half the time step.")
+
+
+class StoppingConfig(_Section):
+    """Early stopping on s->t (algorithm 6.5)."""
+
+    patience: int = Field(0, ge=0, description="Frames without improvement; 0 never stops.")
+    earliest_frame: int = Field(30, ge=0)
+    tolerance: NonNegative = Field(1e-4, description="Smaller gains do not count [grid units].")
+
+
+class MorphConfig(_Section):
+    """Everything that determines a morph, given its source and target."""
+
+    preset: str = Field("custom", description="Name and version of the preset it started from.")
+    method: str = Field("joint", description="Registered method, see `morph methods`.")
+    frames: int = Field(40, ge=1, le=10000)
+    seed: int = Field(42, ge=0, description="Seed of every random choice, the jitter's included.")
+    precision: Literal["float32", "float64"] = "float32"
+    f1_tau: Positive = Field(0.2, description="Threshold of F1 [grid units].")
+    grid: GridConfig = GridConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    material: MaterialConfig = MaterialConfig()
+    time: TimeConfig = TimeConfig()
+    smoothing: SmoothingConfig = SmoothingConfig()
+    adjoint: AdjointConfig = AdjointConfig()
+    grid_loss: GridLossConfig = GridLossConfig()
+    chamfer: ChamferConfig = ChamferConfig()
+    optimizer: OptimizerConfig = OptimizerConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
+    stopping: StoppingConfig = StoppingConfig()
+
+    @property
+    def spacing(self) -> float:
+        """Lattice spacing h [grid units]."""
+        return self.grid.dx / self.sampling.points_per_cell_edge
+
+    @property
+    def domain(self) -> float:
+        """Particles stay in [-domain, domain]^3 [grid units]."""
+        return self.grid.half_extent - self.watchdog.domain_margin * self.grid.dx
+
+    @property
+    def largest_dt(self) -> float:
+        """Largest stable time step of this material on this grid [s]."""
+        return SOUND_STEPS_PER_CELL * self.grid.dx / self.material.sound_speed
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MorphConfig:
+        if self.time.dt > self.largest_dt:
+            raise ValueError(
+                f"time.dt = {self.time.dt:g} s is beyond the stable limit {self.largest_dt:.4g} s "
+                "of this material and grid"
+            )
+        cells = 2 * self.grid.half_extent / self.grid.dx
+        if abs(cells - round(cells)) > 1e-6 or not 4 <= round(cells) <= 512:
+            raise ValueError("grid.half_extent / grid.dx must give 4 to 512 whole cells per axis")
+        return self
+
+
+def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
+    """Replace fields named by dotted path; values may be text, as typed on a command line.
+
+    Raises:
+        ConfigError: An unknown path, with the nearest known one, or a value out of range.
+    """
+    tree = config.model_dump()
+    known = field_paths()
+    for path, value in values.items():
+        if path not in known:
+            near = difflib.get_close_matches(path, known, 1, 0.0)
+            near = [p for p in known if p.rsplit(".", 1)[-1] == path] or near
+            raise ConfigError(
+                f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?"
+            )
+        *sections, leaf = path.split(".")
+        node = tree
+        for section in sections:
+            node = node[section]
+        node[leaf] = _parsed(value)
+    return validated(tree)
+
+
+def validated(tree: Mapping[str, Any]) -> MorphConfig:
+    """A configuration from nested data.
+
+    Raises:
+        ConfigError: The first fault, with the permitted range.
+    """
+    try:
+        return MorphConfig.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            near = difflib.get_close_matches(path, field_paths(), 1, 0.0)
+            raise ConfigError(
+                f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?"
+            ) from None
+        message = first["msg"].removeprefix("Value error, ")
+        given = f"{path} = {first['input']!r}: " if path else ""
+        raise ConfigError(
+            f"The configuration is not valid: {given}{message[0].lower()}{message[1:]}.",
+            _remedy(path, first),
+        ) from None
+
+
+def field_paths() -> dict[str, Any]:
+    """Every setting's dotted path and its pydantic field."""
+    paths: dict[str, Any] = {}
+    for name, field in MorphConfig.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, _Section):
+            paths |= {f"{name}.{leaf}": inner for leaf, inner in section.model_fields.items()}
+        else:
+            paths[name] = field
+    return paths
+
+
+def _parsed(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if text.lower() in ("none", "null"):
+        return None
+    if "," in text:
+        return tuple(_parsed(part) for part in text.split(",") if part.strip())
+    return text
+
+
+def _remedy(path: str, error: Any) -> str:
+    if "time.dt" in error["msg"]:
+        return "Lower time.dt, or soften the material or coarsen the grid."
+    if "expected" in error.get("ctx", {}):
+        return f"Choose one of {error['ctx']['expected']}."
+    return f"See `morph presets --describe {path.split('.')[0]}` for its meaning and range."
