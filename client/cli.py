@@ -72,6 +72,29 @@ def shapes(as_json: AsJson = False) -> None:
 
 
 @app.command()
+def presets(
+    name: Annotated[str | None, typer.Argument(help="Show the settings of this one.")] = None,
+    describe: Annotated[
+        str | None, typer.Option(metavar="SECTION", help="Only settings of this section.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the presets, or every setting of one with its meaning and range."""
+    from client.display import print_settings, print_table
+    from morph_engine import presets as known
+
+    if as_json:
+        chosen = [name] if name else known.names()
+        print_json({each: known.configure(each).model_dump(mode="json") for each in chosen})
+    elif name or describe:
+        print_settings(known.configure(name or known.DEFAULT), section=describe)
+    else:
+        print_table(
+            ("preset", "what it is"), ((each, known.describe(each)) for each in known.names())
+        )
+
+
+@app.command()
 def inspect(
     mesh: Annotated[str, typer.Argument(metavar="MESH", help=SHAPE_HELP)],
     fit: Annotated[Fit, typer.Option(help=FIT_HELP)] = "none",

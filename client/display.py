@@ -6,15 +6,20 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from time import monotonic
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
+from rich.text import Text
+
+from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
     from morph_engine.morphing import Event, Frame
+    from pydantic.fields import FieldInfo
 
+    from morph_engine.config import MorphConfig
     from morph_engine.ingest import IngestReport
 
 
@@ -135,6 +140,59 @@ def print_report(report: IngestReport) -> None:
         sys.stdout.write(f"\n{warning}\n")
 
 
+def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
+    """Settings with value, range and meaning, on standard output.
+
+    Args:
+        config: The configuration whose values are shown.
+        section: Only settings of this section, or of this dotted path.
+
+    Raises:
+        ConfigError: There is no such section.
+    """
+    from morph_engine.config import field_paths
+
+    fields = {
+        path: field
+        for path, field in field_paths().items()
+        if section is None or f"{path}.".startswith(f"{section}.")
+    }
+    if not fields:
+        sections = dict.fromkeys(path.split(".")[0] for path in field_paths() if "." in path)
+        raise ConfigError(
+            f"There is no section called {section!r}.", f"Choose one of {', '.join(sections)}."
+        )
+    print_table(
+        ("setting", "value", "allowed", "meaning"),
+        (
+            (path, _setting(config, path), _allowed(field), field.description or "")
+            for path, field in fields.items()
+        ),
+    )
+
+
+def _setting(config: MorphConfig, path: str) -> str:
+    value: object = config
+    for name in path.split("."):
+        value = getattr(value, name)
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _allowed(field: FieldInfo) -> str:
+    """The range of a setting in words: `>0, <=1`, or its choices `cubic | quadratic`."""
+    if get_origin(field.annotation) is Literal:
+        return " | ".join(get_args(field.annotation))
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    return ", ".join(
+        f"{sign}{getattr(bound, name):g}"
+        for bound in field.metadata
+        for name, sign in signs.items()
+        if hasattr(bound, name)
+    )
+
+
 def print_metrics(values: Mapping[str, float]) -> None:
     """Metrics with their units and meanings on standard output."""
     from morph_engine.metrics import METRICS
@@ -155,5 +213,5 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     for column, name in enumerate(header):
         table.add_column(name, overflow="fold", no_wrap=column == 0)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # Text: brackets are brackets, not markup
     Console(highlight=False, soft_wrap=not sys.stdout.isatty()).print(table)
