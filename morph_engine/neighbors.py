@@ -1,4 +1,9 @@
-"""Exact nearest neighbours on the device: a balanced box tree whose boxes follow moving points."""
+"""Exact nearest neighbours on the device: a balanced box tree whose boxes follow moving points.
+
+The points lie in the leaves of a complete binary tree, stored without pointers: node k has the
+children 2k and 2k + 1, its box holds all its points. On a CPU eight queries that are close in space
+descend together, so that every box and every point is compared with a full vector of queries.
+"""
 
 from typing import Any
 
@@ -6,72 +11,117 @@ import numpy as np
 import numpy.typing as npt
 import taichi as ti
 
-LEAF_SIZE = 8
+LEAF_SIZE = 32
+LANES = 8  # queries that descend together on a CPU
+SUBTREES = 64  # refitted in parallel
+CELLS = 32  # per axis, of the grid that brings queries into a coherent order
 REACH = 1e18  # a coordinate beyond this counts as non-finite
-PARKED = 5e18  # where absent points wait; their squared distances stay finite in float32
+PARKED = 5e18  # where absent points wait: far away, yet at a finite squared distance
 NOTHING = 2e37  # squared distance above every possible match and below every parked point
+NO_MATCH = 2**31 - 1
+SLACK = 1.0 + 1e-5  # a box is left out only beyond this, so that rounding never hides a match
 REACH_BITS = int(np.float32(REACH).view(np.int32))
-SLACK = 1.0 + 1e-5  # boxes are discarded only beyond this, so that rounding never hides a tie
 
 
 @ti.func
-def usable(point):
-    """Tell whether all coordinates are within reach; compares bits, which fast-math keeps."""
+def within_reach(point):
+    """Tell whether no coordinate is beyond REACH; compares bits, which holds under fast-math."""
     answer = True
     for axis in ti.static(range(3)):
         bits = ti.bit_cast(ti.cast(point[axis], ti.f32), ti.i32) & 0x7FFFFFFF
-        answer = answer and bits < REACH_BITS
+        answer = answer and bits <= REACH_BITS
     return answer
 
 
 @ti.func
-def squared_gap(lower, upper, point):
-    """Squared distance from a point to a box, 0 inside."""
-    gap = ti.max(lower - point, point - upper, 0.0)
-    return gap.dot(gap)
+def fit_node(node, lower: ti.template(), upper: ti.template()):
+    """Fit the box of an inner node around those of its children."""
+    lower[node] = ti.min(lower[2 * node], lower[2 * node + 1])
+    upper[node] = ti.max(upper[2 * node], upper[2 * node + 1])
 
 
 @ti.kernel
-def fit_leaves(
+def fit_boxes(
     points: ti.types.ndarray(),
     order: ti.types.ndarray(),
     leaf_points: ti.types.ndarray(),
     lower: ti.types.ndarray(),
     upper: ti.types.ndarray(),
 ):
-    """Copy the points into leaf order and fit the leaf boxes around them."""
-    leaf_count = order.shape[0] // LEAF_SIZE
-    for leaf in range(leaf_count):
+    """Copy the points into their leaves and fit all boxes, from the leaves to the root."""
+    for leaf in range(lower.shape[0] // 2):
         low = ti.Vector([PARKED, PARKED, PARKED])
         high = -low
-        for lane in range(LEAF_SIZE):
-            slot = leaf * LEAF_SIZE + lane
-            source = order[slot]
+        for slot in range(leaf * LEAF_SIZE, (leaf + 1) * LEAF_SIZE):
             point = ti.Vector([PARKED, PARKED, PARKED])
-            if source >= 0:
-                if usable(points[source]):
+            source = order[slot]
+            if source != NO_MATCH:
+                if within_reach(points[source]):
                     point = points[source]
                     low = ti.min(low, point)
                     high = ti.max(high, point)
             leaf_points[slot] = point
-        lower[leaf_count + leaf] = low
-        upper[leaf_count + leaf] = high
+        lower[lower.shape[0] // 2 + leaf] = low
+        upper[lower.shape[0] // 2 + leaf] = high
+    for subtree in range(ti.min(lower.shape[0] // 2, SUBTREES)):
+        root = ti.min(lower.shape[0] // 2, SUBTREES) + subtree
+        width = lower.shape[0] // 4 // ti.min(lower.shape[0] // 2, SUBTREES)
+        while width > 0:
+            for node in range(root * width, (root + 1) * width):
+                fit_node(node, lower, upper)
+            width //= 2
+    ti.loop_config(serialize=True)
+    for k in range(1, ti.min(lower.shape[0] // 2, SUBTREES)):
+        fit_node(ti.min(lower.shape[0] // 2, SUBTREES) - k, lower, upper)
 
 
 @ti.kernel
-def fit_level(first: int, lower: ti.types.ndarray(), upper: ti.types.ndarray()):
-    """Fit the boxes of one level (nodes first .. 2 first - 1) around their two children."""
-    for offset in range(first):
-        node = first + offset
-        lower[node] = ti.min(lower[2 * node], lower[2 * node + 1])
-        upper[node] = ti.max(upper[2 * node], upper[2 * node + 1])
+def sort_by_cell(
+    queries: ti.types.ndarray(),
+    lower: ti.types.ndarray(),
+    upper: ti.types.ndarray(),
+    cell: ti.types.ndarray(),
+    cell_end: ti.types.ndarray(),
+    visit: ti.types.ndarray(),
+):
+    """List the queries cell by cell, cells along a Morton curve; a counting sort.
+
+    The grid spans the indexed points and repeats beyond them.
+    """
+    for c in cell_end:
+        cell_end[c] = 0
+    for i in range(queries.shape[0]):
+        code = 0
+        if within_reach(queries[i]):
+            width = ti.max((upper[1] - lower[1]).max(), 1e-6)
+            position = (queries[i] - lower[1]) / width
+            for axis in ti.static(range(3)):
+                fraction = position[axis] - ti.floor(position[axis])
+                along = ti.min(ti.cast(fraction * CELLS, ti.i32), CELLS - 1)
+                for bit in ti.static(range(5)):
+                    code |= (along >> bit & 1) << (3 * bit + axis)
+        cell[i] = code
+    ti.loop_config(serialize=True)
+    for i in range(queries.shape[0]):
+        cell_end[cell[i]] += 1
+    ti.loop_config(serialize=True)
+    for c in range(1, cell_end.shape[0]):
+        cell_end[c] += cell_end[c - 1]
+    ti.loop_config(serialize=True)
+    for k in range(queries.shape[0]):
+        i = queries.shape[0] - 1 - k
+        place = cell_end[cell[i]] - 1
+        cell_end[cell[i]] = place
+        visit[place] = i
 
 
 @ti.kernel
 def search(
+    lanes: ti.template(),
+    guided: ti.template(),
     queries: ti.types.ndarray(),
+    visit: ti.types.ndarray(),
     guess: ti.types.ndarray(),
-    guess_count: int,
     points: ti.types.ndarray(),
     order: ti.types.ndarray(),
     leaf_points: ti.types.ndarray(),
@@ -80,51 +130,79 @@ def search(
     index_out: ti.types.ndarray(),
     distance_out: ti.types.ndarray(),
 ):
-    """Find the nearest point of every query by a stackless, nearest-child-first descent.
+    """Find the nearest point of every query: depth first, nearer child first, without a stack.
 
-    Bit k of `trail` tells that the sibling of the k-th ancestor is still to be visited.
+    Bit k of `trail` tells that the sibling of the k-th ancestor is still to be visited; the root's
+    bit ends the search. Statements on `lanes`-vectors compile to vector instructions.
     """
-    leaf_count = order.shape[0] // LEAF_SIZE
-    for i in range(queries.shape[0]):
-        query = queries[i]
-        best = NOTHING
-        match = -1
-        node = 0
+    query_count = queries.shape[0]
+    leaf_count = lower.shape[0] // 2
+    for packet in range((query_count + lanes - 1) // lanes):
+        x = ti.Vector([0.0] * lanes)
+        y = ti.Vector([0.0] * lanes)
+        z = ti.Vector([0.0] * lanes)
+        best = ti.Vector([-1.0] * lanes)
+        match = ti.Vector([NO_MATCH] * lanes)
+        for lane in ti.static(range(lanes)):
+            i = ti.min(packet * lanes + lane, query_count - 1)
+            if ti.static(lanes > 1):
+                i = visit[i]
+            if within_reach(queries[i]):
+                x[lane], y[lane], z[lane] = queries[i]
+                best[lane] = NOTHING
+                if ti.static(guided):
+                    candidate = guess[i]
+                    if 0 <= candidate < points.shape[0]:
+                        if within_reach(points[candidate]):
+                            best[lane] = (points[candidate] - queries[i]).norm_sqr() * SLACK
+        middle = ti.Vector([x.sum(), y.sum(), z.sum()]) / lanes
+
+        node = 1
         trail = 1
-        if usable(query):
-            node = 1
-            if i < guess_count:
-                candidate = guess[i]
-                if 0 <= candidate < points.shape[0]:
-                    if usable(points[candidate]):
-                        best = (points[candidate] - query).norm_sqr() * SLACK
         while node > 0:
-            descended = False
-            if node >= leaf_count:
-                for lane in range(LEAF_SIZE):
-                    slot = (node - leaf_count) * LEAF_SIZE + lane
-                    squared = (leaf_points[slot] - query).norm_sqr()
-                    if squared <= best:
-                        source = order[slot]
-                        if squared < best or match < 0 or source < match:
-                            best = squared
-                            match = source
+            low = lower[node]
+            high = upper[node]
+            gap_x = ti.max(low[0] - x, x - high[0], 0.0)
+            gap_y = ti.max(low[1] - y, y - high[1], 0.0)
+            gap_z = ti.max(low[2] - z, z - high[2], 0.0)
+            excess = gap_x * gap_x + gap_y * gap_y + gap_z * gap_z - best * SLACK
+            wanted = 0
+            for lane in ti.static(range(lanes)):
+                wanted |= ti.cast(excess[lane] <= 0.0, ti.i32)
+            if wanted != 0 and node < leaf_count:
+                left = ti.max(lower[2 * node] - middle, middle - upper[2 * node], 0.0)
+                right = ti.max(lower[2 * node + 1] - middle, middle - upper[2 * node + 1], 0.0)
+                node = 2 * node + ti.cast(right.norm_sqr() < left.norm_sqr(), ti.i32)
+                trail = 2 * trail + 1
             else:
-                left = squared_gap(lower[2 * node], upper[2 * node], query)
-                right = squared_gap(lower[2 * node + 1], upper[2 * node + 1], query)
-                bound = best * SLACK
-                if ti.min(left, right) <= bound:
-                    trail = 2 * trail + ti.cast(ti.max(left, right) <= bound, ti.i32)
-                    node = 2 * node + ti.cast(right < left, ti.i32)
-                    descended = True
-            if not descended:
+                if wanted != 0:
+                    first = (node - leaf_count) * LEAF_SIZE
+                    for slot in range(first, first + LEAF_SIZE):
+                        point = leaf_points[slot]
+                        source = order[slot]
+                        dx = x - point[0]
+                        dy = y - point[1]
+                        dz = z - point[2]
+                        squared = dx * dx + dy * dy + dz * dz
+                        for lane in ti.static(range(lanes)):
+                            tie = (squared[lane] == best[lane]) & (source < match[lane])
+                            closer = (squared[lane] < best[lane]) | tie
+                            best[lane] = ti.select(closer, squared[lane], best[lane])
+                            match[lane] = ti.select(closer, source, match[lane])
                 while trail & 1 == 0:
                     trail >>= 1
                     node >>= 1
-                node ^= 1
                 trail ^= 1
-        index_out[i] = match
-        distance_out[i] = ti.sqrt(best) if match >= 0 else ti.math.inf
+                node ^= 1
+
+        for lane in ti.static(range(lanes)):
+            i = packet * lanes + lane
+            if i < query_count:
+                if ti.static(lanes > 1):
+                    i = visit[i]
+                found = match[lane] != NO_MATCH
+                index_out[i] = match[lane] if found else -1
+                distance_out[i] = ti.sqrt(best[lane]) if found else ti.math.inf
 
 
 class NeighborIndex:
@@ -139,16 +217,15 @@ class NeighborIndex:
     """
 
     def __init__(self, points: Any) -> None:
-        self.point_count: int = points.shape[0]
-        self._points = points
-        leaf_count = 1 << (max(1, -(-self.point_count // LEAF_SIZE)) - 1).bit_length()
-        real = points.element_type.element_type() if hasattr(points.element_type, "element_type") else points.dtype
-        self._order = ti.ndarray(ti.i32, leaf_count * LEAF_SIZE)
-        self._leaf_points = ti.Vector.ndarray(3, real, leaf_count * LEAF_SIZE)
-        self._lower = ti.Vector.ndarray(3, real, 2 * leaf_count)
-        self._upper = ti.Vector.ndarray(3, real, 2 * leaf_count)
-        self._no_guess = ti.ndarray(ti.i32, 1)
-        self._leaf_count = leaf_count
+        self._leaf_count = 1 << (-(-points.shape[0] // LEAF_SIZE) - 1).bit_length()
+        slot_count = self._leaf_count * LEAF_SIZE
+        real = points.dtype
+        self._order = ti.ndarray(ti.i32, slot_count)
+        self._leaf_points = ti.Vector.ndarray(3, real, slot_count)
+        self._lower = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
+        self._upper = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
+        self._cell_end = ti.ndarray(ti.i32, CELLS**3)
+        self._cell = self._visit = ti.ndarray(ti.i32, 1)
         self.rebuild(points)
 
     def rebuild(self, points: Any) -> None:
@@ -163,28 +240,29 @@ class NeighborIndex:
             points: New positions [dx], shape [n] as before, same dtype.
         """
         self._points = points
-        fit_leaves(points, self._order, self._leaf_points, self._lower, self._upper)
-        level = self._leaf_count // 2
-        while level >= 1:
-            fit_level(level, self._lower, self._upper)
-            level //= 2
+        fit_boxes(points, self._order, self._leaf_points, self._lower, self._upper)
 
     def nearest(self, queries: Any, index_out: Any, distance_out: Any, guess: Any = None) -> None:
         """Find the nearest point of every query; of equally near ones that of lowest index.
 
         Args:
-            queries: Query positions [dx], shape [m], 3-vectors, dtype of the points. Any order is
-                right; neighbours in space that are neighbours in memory are fastest.
+            queries: Query positions [dx], shape [m], 3-vectors, dtype of the points.
             index_out: Receives the index of the nearest point, shape [m], int32; -1 for a query
                 with a non-finite coordinate.
             distance_out: Receives the distance [dx], shape [m], real; inf where the index is -1.
             guess: Indices of likely near points, shape [m], int32, for instance the previous
                 answer; values out of range are ignored. May be `index_out` itself.
         """
+        if self._visit.shape[0] != queries.shape[0]:
+            self._cell = ti.ndarray(ti.i32, queries.shape[0])
+            self._visit = ti.ndarray(ti.i32, queries.shape[0])
+        sort_by_cell(queries, self._lower, self._upper, self._cell, self._cell_end, self._visit)
         search(
+            LANES,
+            guess is not None,
             queries,
-            self._no_guess if guess is None else guess,
-            0 if guess is None else queries.shape[0],
+            self._visit,
+            self._visit if guess is None else guess,
             self._points,
             self._order,
             self._leaf_points,
@@ -203,8 +281,8 @@ def leaf_order(points: npt.NDArray[Any], leaf_count: int) -> npt.NDArray[np.int3
         leaf_count: Number of leaves, a power of two; leaf_count * LEAF_SIZE >= n.
 
     Returns:
-        Index of the point in every leaf slot, -1 for an empty slot, shape [leaf_count * LEAF_SIZE],
-        int32. All leaves are full but the last ones.
+        Index of the point in every leaf slot, NO_MATCH for an empty one, int32, shape
+        [leaf_count * LEAF_SIZE]. All leaves are full but the last ones.
     """
     slot_count = leaf_count * LEAF_SIZE
     positions = np.full((slot_count, 3), np.nan)
@@ -224,4 +302,4 @@ def leaf_order(points: npt.NDArray[Any], leaf_count: int) -> npt.NDArray[np.int3
         order = np.take_along_axis(cells, part, axis=1).reshape(-1)
         size //= 2
     order = np.sort(order.reshape(-1, LEAF_SIZE), axis=1).reshape(-1)
-    return np.where(order < len(points), order, -1).astype(np.int32)
+    return np.where(order < len(points), order, NO_MATCH).astype(np.int32)
