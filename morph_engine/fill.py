@@ -1,21 +1,29 @@
 """Floor-free numbers: how well particles fill a shape, whatever the phase of the target's lattice.
 
 The Chamfer distance to a lattice mixes coverage with registration to the lattice (algorithm 9.1).
-The numbers here see what a person sees: holes, spill and clumps (algorithm 9.2). Their short
-definitions stand with all others in `morph_engine.metrics.METRICS`.
+The numbers here see what a person sees: holes, spill and clumps (algorithm 9.2), and particles
+that stick out of the target's surface. Their short definitions stand with all others in
+`morph_engine.metrics.METRICS`.
 """
 
 from __future__ import annotations
 
+import math
 from itertools import product
+from typing import TYPE_CHECKING
 
+import igl
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine.metrics import COVERING_RADIUS_OVER_H, Points, finite_points, target_points
+from morph_engine.sampling import inside
 
-__all__ = ["fill_metrics"]
+if TYPE_CHECKING:
+    from morph_engine.mesh import Mesh
+
+__all__ = ["fill_metrics", "outside_metrics"]
 
 QUANTILES = {"rho_p01": 0.01, "rho_p05": 0.05, "rho_p50": 0.5, "rho_p95": 0.95, "rho_p99": 0.99}
 AXIS_BITS = 21
@@ -35,7 +43,7 @@ def fill_metrics(
     With R(S) the nodes of a raster of step dx/4 that lie closer than 0.87 h to a point of S,
     A = R(particles) and B = R(target)::
 
-        iou = |A n B| / |A u B|     cover = |A n B| / |B|     spill = |A - B| / |A|
+        iou = #(A n B) / #(A u B)     cover = #(A n B) / #B     spill = #(A - B) / #A
         rho_j = (particles within dx of q_j / target points within dx of q_j) / (N / M)
 
     A raster node sits one dx outside the least corner of the joint bounding box. A lattice finer
@@ -79,6 +87,40 @@ def fill_metrics(
         "cover": shared / wanted.size,
         "spill": 1 - shared / filled.size,
     } | dict(zip(QUANTILES, quantiles.tolist(), strict=True))
+
+
+def outside_metrics(positions: npt.ArrayLike, mesh: Mesh) -> dict[str, float]:
+    """How many particles stick out of the target mesh, and how far.
+
+    A particle is outside where the generalised winding number is below 1/2, the test that made
+    the target's lattice (algorithm 1.2). Its distance is to the nearest point of any triangle; at
+    a hole of an open mesh this is the hole's rim, so the distance there is an upper bound.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3].
+        mesh: Target mesh in grid units.
+
+    Returns:
+        ``outside_share`` of the finite particles, and ``outside_mean`` and ``outside_max`` [dx]
+        over those outside, 0 if there is none. With no finite particle 1, inf and inf.
+
+    Raises:
+        MeshError: The positions have the wrong shape.
+    """
+    points, _ = finite_points(positions)
+    if not len(points):
+        return {"outside_share": 1.0, "outside_mean": math.inf, "outside_max": math.inf}
+    outside = np.ascontiguousarray(points[~inside(mesh, points)])
+    if not len(outside):
+        return {"outside_share": 0.0, "outside_mean": 0.0, "outside_max": 0.0}
+    faces = mesh.faces.astype(np.int64)
+    squared, _, _ = igl.point_mesh_squared_distance(outside, mesh.vertices, faces)
+    distance = np.sqrt(squared)
+    return {
+        "outside_share": len(outside) / len(points),
+        "outside_mean": float(distance.mean()),
+        "outside_max": float(distance.max()),
+    }
 
 
 def _raster_nodes(points: Points, *, radius: float, step: float) -> npt.NDArray[np.int64]:

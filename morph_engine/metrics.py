@@ -4,14 +4,16 @@ Particles x_p (N of them) are compared with target points q_j (M of them) by exa
 neighbours in float64::
 
     d_fwd(p) = min_j |x_p - q_j|        d_rev(j) = min_p |x_p - q_j|
+    d_other(p) = min_{r != p} |x_p - x_r|
 
-Lengths are in grid units (dx). A target that is a lattice of spacing h has floors: a particle
-dropped at random inside it is h/2 (rms) from the nearest lattice point, so compare these numbers
-only at equal h, or divided by h (algorithm 9.1). `morph_engine.fill` has the floor-free numbers.
+[condition] is 1 where it holds and 0 elsewhere; #S is the number of elements of S. Lengths are in
+grid units (dx). A target that is a lattice of spacing h has floors: a particle dropped at random
+inside it is h/2 (rms) from the nearest lattice point, so compare these numbers only at equal h, or
+divided by h (algorithm 9.1). `morph_engine.fill` has the floor-free numbers.
 
-Particles with a non-finite coordinate never take part in a distance or a share; they are counted
-in ``escaped``. With no finite particle at all, every metric takes its worst value: distances are
-inf, shares 0 where higher is better and 1 where lower is.
+Particles with a non-finite coordinate are counted in ``escaped`` and nowhere else: they take part
+in no distance or share, and N is the number of the others. With no finite particle at all, every
+metric takes its worst value: distances are inf, shares 0 where higher is better, 1 where lower is.
 """
 
 from __future__ import annotations
@@ -81,10 +83,10 @@ METRICS: dict[str, Definition] = {
         "max(max_p d_fwd, max_j d_rev)", "dx", "lower", "the worst point of either set"
     ),
     "precision": Definition(
-        "|{p : d_fwd < tau}| / N", "share", "higher", "particles close to the target"
+        "mean_p [d_fwd < tau]", "share", "higher", "particles close to the target"
     ),
     "recall": Definition(
-        "|{j : d_rev < tau}| / M", "share", "higher", "target points close to a particle"
+        "mean_j [d_rev < tau]", "share", "higher", "target points close to a particle"
     ),
     "f1": Definition(
         "2 precision recall / (precision + recall)",
@@ -93,36 +95,36 @@ METRICS: dict[str, Definition] = {
         "harmonic mean of precision and recall, 0 if both are 0",
     ),
     "coverage": Definition(
-        "|{j : d_rev < 0.87 h}| / M", "share", "higher", "target points that are not in a hole"
+        "mean_j [d_rev < 0.87 h]", "share", "higher", "target points that are not in a hole"
     ),
     # collapse
     "overlap_01": Definition(
-        "|{p : min_r |x_p - x_r| < 0.01}| / N, r != p",
+        "mean_p [d_other < 0.01]",
         "share",
         "lower",
         "particles that coincide with another",
     ),
     "overlap_h10": Definition(
-        "|{p : min_r |x_p - x_r| < 0.1 h}| / N, r != p",
+        "mean_p [d_other < 0.1 h]",
         "share",
         "lower",
         "particles that nearly coincide with another",
     ),
     "many_to_one": Definition(
-        "|{nearest target of p : all p}| / N",
+        "#{j : j is nearest to some p} / N",
         "share",
         "higher",
         "distinct nearest targets per particle; 1 when no two particles share one",
     ),
     "targets_used": Definition(
-        "|{nearest target of p : all p}| / M",
+        "#{j : j is nearest to some p} / M",
         "share",
         "higher",
         "target points that are the nearest one of some particle",
     ),
     # state
     "escaped": Definition(
-        "|{p : max_a |x_p,a| > 14 or x_p not finite}|",
+        "#{p : x_p not in [-14, 14]^3}",
         "count",
         "lower",
         "particles that left the domain's safe part",
@@ -131,9 +133,9 @@ METRICS: dict[str, Definition] = {
         "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
     ),
     "det_f_max": Definition("max_p det F_p", "ratio", "one", "strongest expansion"),
-    "max_speed": Definition("max_p |v_p|", "dx/s", "lower", "fastest particle"),
+    "max_speed": Definition("max_p norm(v_p)", "dx/s", "lower", "fastest particle"),
     "kinetic_energy": Definition(
-        "1/2 sum_p m_p |v_p|^2", "energy", "lower", "motion left in the cloud"
+        "1/2 sum_p m_p norm(v_p)^2", "energy", "lower", "motion left in the cloud"
     ),
     # what the optimiser sees (algorithm 3, 5.1)
     "loss_physics": Definition(
@@ -148,21 +150,18 @@ METRICS: dict[str, Definition] = {
         "lower",
         "Chamfer loss before its weight, l quadratic then linear",
     ),
-    # fill of the volume (algorithm 9.2), R = raster nodes of step dx/4 closer than 0.87 h
-    "iou": Definition(
-        "|R(x) n R(q)| / |R(x) u R(q)|", "share", "higher", "volume overlap of the two fills"
-    ),
+    # fill of the volume (algorithm 9.2)
+    "iou": Definition("#(A n B) / #(A u B)", "share", "higher", "volume overlap of the two fills"),
     "cover": Definition(
-        "|R(x) n R(q)| / |R(q)|", "share", "higher", "part of the target's volume that is filled"
+        "#(A n B) / #B", "share", "higher", "part of the target's volume that is filled"
     ),
     "spill": Definition(
-        "|R(x) - R(q)| / |R(x)|", "share", "lower", "part of the fill outside the target's volume"
+        "#(A - B) / #A", "share", "lower", "part of the fill outside the target's volume"
     ),
 }
 METRICS |= {
     f"rho_p{percent:02}": Definition(
-        f"{percent} % quantile over j of (|{{p : |x_p - q_j| <= dx}}| / "
-        "|{i : |q_i - q_j| <= dx}|) / (N / M)",
+        f"{percent} % quantile of rho_j",
         "ratio",
         "one",
         f"density ratio that {percent} % of the target points stay below",
@@ -170,13 +169,15 @@ METRICS |= {
     for percent in (1, 5, 50, 95, 99)
 }
 METRICS |= {
-    # against the target's mesh; O = particles of winding number < 1/2, d_S = distance to surface
-    "outside_share": Definition("|O| / N", "share", "lower", "particles outside the target mesh"),
+    # against the target's mesh, of winding number w and surface S
+    "outside_share": Definition(
+        "mean_p [w(x_p) < 1/2]", "share", "lower", "particles outside the target mesh"
+    ),
     "outside_mean": Definition(
-        "mean_{p in O} d_S(x_p)", "dx", "lower", "how far those are from its surface, 0 if none"
+        "mean_{p outside} d_S(x_p)", "dx", "lower", "how far those are from its surface, 0 if none"
     ),
     "outside_max": Definition(
-        "max_{p in O} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
+        "max_{p outside} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
     ),
 }
 

@@ -27,6 +27,8 @@ clouds = arrays(
     elements=st.integers(-512, 512).map(lambda i: i / 64),
 )
 
+properties = settings(deadline=None, max_examples=50)  # a busy machine is no failure
+
 
 def lattice(count: int, spacing: float) -> Cloud:
     """A cube of ``count`` points per edge that starts at the origin, shape [count^3, 3]."""
@@ -288,6 +290,7 @@ def test_floors_of_a_random_source() -> None:
 # --- properties ---------------------------------------------------------------------------------
 
 
+@properties
 @given(clouds, clouds)
 def test_exchange_swaps_the_directions(a: Cloud, b: Cloud) -> None:
     """Swapping the clouds swaps s2t with t2s and precision with recall, and nothing symmetric."""
@@ -304,7 +307,7 @@ def test_exchange_swaps_the_directions(a: Cloud, b: Cloud) -> None:
     assert fill_ab["cover"] == pytest.approx(1 - fill_ba["spill"], abs=1e-15)
 
 
-@settings(deadline=None)  # the first call pays for scipy's rotations
+@properties
 @given(clouds, clouds, st.integers(0, 2**31))
 def test_distances_do_not_see_a_rigid_motion(a: Cloud, b: Cloud, seed: int) -> None:
     """Turning and moving both clouds together, in any order of points, changes no distance."""
@@ -319,6 +322,7 @@ def test_distances_do_not_see_a_rigid_motion(a: Cloud, b: Cloud, seed: int) -> N
         assert after[name] == pytest.approx(before[name], abs=1e-13)
 
 
+@properties
 @given(clouds, clouds, st.sampled_from([0.25, 0.5, 2.0, 8.0]))
 def test_numbers_over_h_do_not_see_the_unit(a: Cloud, b: Cloud, scale: float) -> None:
     """Scaling everything, h included, keeps whatever is measured in units of h (exact: 2^k)."""
@@ -328,6 +332,7 @@ def test_numbers_over_h_do_not_see_the_unit(a: Cloud, b: Cloud, scale: float) ->
         assert after[name] == pytest.approx(before[name], rel=1e-14), name
 
 
+@properties
 @given(clouds, st.integers(2, 4))
 def test_copies_are_overlap_and_nothing_else(a: Cloud, copies: int) -> None:
     """Stacking k copies of a cloud changes no distance; all overlap; k share each target."""

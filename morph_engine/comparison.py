@@ -1,0 +1,345 @@
+"""Measure any two shapes against each other: meshes, point clouds, results, or their files.
+
+Each is brought to points first: a mesh by the lattice that fills it (reference ``volume``) or by
+samples of its surface (reference ``surface``), a result by one of its frames. Numbers against
+the two references are not comparable, so the reference is kept with them.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from morph_engine.errors import ConfigError, MeshError
+from morph_engine.fill import fill_metrics, outside_metrics
+from morph_engine.mesh import Mesh
+from morph_engine.metrics import Points, chamfer_metrics, deformation_metrics
+from morph_engine.sampling import sample_lattice
+from morph_engine.shapes import resolve_shape
+from morph_engine.trajectory import Trajectory
+
+__all__ = ["DEFAULT_SPACING", "Comparable", "Measurement", "Reference", "compare", "measure"]
+
+Reference = Literal["volume", "surface"]
+Comparable = Mesh | Trajectory | str | Path | npt.ArrayLike
+
+Matrix = npt.NDArray[np.floating[Any]]
+
+DEFAULT_SPACING = 1 / 3
+"""Lattice spacing [dx] of the paper's main resolution, three points per cell edge."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Numbers, and what they were measured against.
+
+    Attributes:
+        values: Metric name to value, in the order and meaning of `morph_engine.metrics.METRICS`.
+        reference: What the target points are: ``volume`` (they fill it) or ``surface``.
+        particle_count: Number of particles, lost ones included.
+        target_count: Number of target points.
+        spacing: Spacing h of the target points [dx].
+        tau: Threshold of precision, recall and F1 [dx].
+    """
+
+    values: Mapping[str, float]
+    reference: Reference
+    particle_count: int
+    target_count: int
+    spacing: float
+    tau: float
+
+    def document(self) -> dict[str, Any]:
+        """All of it as one flat JSON object; a distance may be infinite."""
+        return {
+            "reference": self.reference,
+            "particle_count": self.particle_count,
+            "target_count": self.target_count,
+            "spacing": self.spacing,
+            "tau": self.tau,
+            **self.values,
+        }
+
+
+def measure(
+    positions: npt.ArrayLike,
+    target: npt.ArrayLike,
+    *,
+    spacing: float,
+    reference: Reference = "volume",
+    mesh: Mesh | None = None,
+    deformation: npt.ArrayLike | None = None,
+    tau: float = 0.2,
+    grid_spacing: float = 1.0,
+    domain_half_extent: float = 14.0,
+    workers: int = 1,
+) -> Measurement:
+    """Take every number there is between particles and a target.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3].
+        target: Target points [dx], shape [m, 3].
+        spacing: Spacing h of the target points [dx].
+        reference: What the target points are; the fill is measured for ``volume`` only.
+        mesh: Target mesh in grid units, for the particles outside it.
+        deformation: Deformation gradients F [-], shape [n, 3, 3], for the range of det F.
+        tau: Threshold of precision, recall and F1 [dx], strict.
+        grid_spacing: Cell edge dx of the simulation grid, 1 in its own units.
+        domain_half_extent: A particle beyond this in any coordinate has escaped [dx].
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        The numbers of `chamfer_metrics`, and of `fill_metrics`, `outside_metrics` and
+        `deformation_metrics` where what they need was given.
+
+    Raises:
+        MeshError: An array has the wrong shape, or the target is empty or not finite.
+    """
+    values = chamfer_metrics(
+        positions,
+        target,
+        spacing=spacing,
+        tau=tau,
+        domain_half_extent=domain_half_extent,
+        workers=workers,
+    )
+    if deformation is not None:
+        values |= deformation_metrics(deformation)
+    if reference == "volume":
+        values |= fill_metrics(
+            positions, target, spacing=spacing, grid_spacing=grid_spacing, workers=workers
+        )
+    if mesh is not None:
+        values |= outside_metrics(positions, mesh)
+    return Measurement(
+        values=values,
+        reference=reference,
+        particle_count=len(np.asarray(positions)),
+        target_count=len(np.asarray(target)),
+        spacing=spacing,
+        tau=tau,
+    )
+
+
+def compare(
+    a: Comparable,
+    b: Comparable | None = None,
+    *,
+    spacing: float | None = None,
+    reference: Reference = "volume",
+    frame: int = -1,
+    tau: float = 0.2,
+    sample_count: int = 80_000,
+    seed: int = 0,
+    workers: int = 1,
+) -> Measurement:
+    """Measure one shape as the particles against another as the target.
+
+    A mesh or cloud that is compared with a result is first brought to that run's grid units, so
+    that the numbers are those of the run.
+
+    Args:
+        a: The particles: a mesh, a result, an array of points [n, 3], the file of one of these
+            (.vtkhdf; .npy, .csv, .txt, .xyz, .ply without faces; any mesh format), or the name
+            of a built-in shape.
+        b: The target, the same kinds; may be left out if `a` is a result, which has its own.
+        spacing: Lattice spacing h [dx]. Not given: that of the result, or 1/3; for the samples of
+            a surface, the square root of its area per sample.
+        reference: Fill meshes with a lattice (``volume``) or sample their ``surface``.
+        frame: Frame of a result, negative from the end.
+        tau: Threshold of precision, recall and F1 [dx], strict.
+        sample_count: Number of samples of a surface.
+        seed: Seed of the samples of a surface.
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        The numbers of `measure`; those outside the mesh if the target is one.
+
+    Raises:
+        MeshError: A shape cannot be read or used, or has no lattice point at this spacing.
+        ResultError: A result cannot be read or has no such frame.
+        ConfigError: The spacing is not a positive length.
+    """
+    if spacing is not None and not 0 < spacing < math.inf:
+        raise ConfigError(f"The spacing {spacing} is not a length.", "Give a spacing above 0.")
+    particles = _load(a, frame)
+    goal = _own_target(particles, reference) if b is None else _load(b, frame)
+    if b is not None:
+        particles, goal = _in_grid_units(particles, goal), _in_grid_units(goal, particles)
+    if spacing is None and reference == "surface" and goal.mesh is not None:
+        spacing = math.sqrt(_areas(goal.mesh).sum() / sample_count)
+    spacing = spacing or particles.spacing or goal.spacing or DEFAULT_SPACING
+
+    def cloud(shape: _Shape) -> npt.NDArray[Any]:
+        if shape.points is not None:
+            return shape.points
+        assert shape.mesh is not None
+        if reference == "surface":
+            return sample_surface(shape.mesh, count=sample_count, seed=seed)
+        return _fill(shape.mesh, spacing)
+
+    return measure(
+        cloud(particles),
+        cloud(goal),
+        spacing=spacing,
+        reference=reference,
+        mesh=goal.mesh,
+        tau=tau,
+        workers=workers,
+    )
+
+
+def sample_surface(mesh: Mesh, *, count: int, seed: int) -> Points:
+    """Draw points from a mesh's surface, uniformly by area.
+
+    Args:
+        mesh: Triangle mesh.
+        count: Number of points m.
+        seed: Seed of the random draws.
+
+    Returns:
+        Points in the mesh's coordinates, shape [m, 3], float64.
+    """
+    rng = np.random.default_rng(seed)
+    area = _areas(mesh)
+    drawn = mesh.faces[rng.choice(len(area), count, p=area / area.sum())]
+    corner, first, second = np.moveaxis(mesh.vertices[drawn], 1, 0)
+    # uniform in the unit square, folded along its diagonal onto the triangle
+    u, v = rng.uniform(size=(2, count, 1))
+    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
+    points: Points = corner + u * (first - corner) + v * (second - corner)
+    return points
+
+
+def _areas(mesh: Mesh) -> npt.NDArray[np.float64]:
+    """Area of each triangle, shape [f]."""
+    corner, first, second = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    area: npt.NDArray[np.float64] = np.linalg.norm(
+        np.cross(first - corner, second - corner), axis=1
+    )
+    return area / 2
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """One side of a comparison: known points, or a mesh to take them from, or both."""
+
+    points: npt.NDArray[Any] | None = None
+    mesh: Mesh | None = None
+    # of a result only
+    to_user: Matrix | None = None
+    spacing: float | None = None
+    target: _Shape | None = None
+
+    def moved(self, matrix: Matrix) -> _Shape:
+        """The shape under an affine map, shape [4, 4], that acts on columns."""
+
+        def move(points: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+            moved: npt.NDArray[np.float64] = points @ matrix[:3, :3].T + matrix[:3, 3]
+            return moved
+
+        return replace(
+            self,
+            points=None if self.points is None else move(self.points),
+            mesh=self.mesh and replace(self.mesh, vertices=move(self.mesh.vertices)),
+        )
+
+
+def _load(shape: Comparable, frame: int) -> _Shape:
+    if isinstance(shape, Trajectory):
+        return _of_run(shape, frame)
+    if isinstance(shape, Mesh):
+        return _Shape(mesh=shape)
+    if not isinstance(shape, str | Path):
+        return _Shape(points=np.asarray(shape))
+    path = Path(shape)
+    suffix = path.suffix.lower()
+    if suffix == ".vtkhdf":
+        with Trajectory(path) as run:
+            return _of_run(run, frame)
+    if suffix in (".npy", ".csv", ".txt", ".xyz") or (suffix == ".ply" and _is_bare_cloud(path)):
+        return _Shape(points=_load_points(path))
+    return _Shape(mesh=resolve_shape(str(shape)))
+
+
+def _of_run(run: Trajectory, frame: int) -> _Shape:
+    target = _Shape(mesh=run.target) if isinstance(run.target, Mesh) else _Shape()
+    target = replace(target.moved(np.linalg.inv(run.transform)), points=run.target_points)
+    return _Shape(
+        points=run.positions(frame),
+        to_user=run.transform,
+        spacing=_spacing(run),
+        target=target,
+    )
+
+
+def _spacing(run: Trajectory) -> float | None:
+    edge_count = run.config.get("points_per_cell_edge")
+    return 1 / edge_count if edge_count else None
+
+
+def _in_grid_units(shape: _Shape, other: _Shape) -> _Shape:
+    """A shape in user coordinates, brought to the grid of the run it is compared with."""
+    if shape.to_user is not None or other.to_user is None:
+        return shape
+    return shape.moved(np.linalg.inv(other.to_user))
+
+
+def _own_target(particles: _Shape, reference: Reference) -> _Shape:
+    if particles.target is None:
+        raise MeshError("There is nothing to compare with.", "Name a second shape as the target.")
+    if reference == "volume":
+        return particles.target
+    if particles.target.mesh is None:
+        raise MeshError("The run's target is a cloud without a surface.", "Measure the volume.")
+    return replace(particles.target, points=None)
+
+
+def _fill(mesh: Mesh, spacing: float) -> npt.NDArray[np.float32]:
+    try:
+        return sample_lattice(mesh, spacing=spacing, minimum_count=1)
+    except MeshError as error:  # its remedies are those of a run
+        raise MeshError(error.cause, "Choose another spacing for the lattice.") from error
+
+
+def _is_bare_cloud(path: Path) -> bool:
+    """Tell whether a PLY file announces no faces."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(4096).split(b"end_header")[0]
+    except OSError:
+        return False  # the mesh loader has the message
+    return not any(
+        line.split()[:2] == [b"element", b"face"] and line.split()[2:] != [b"0"]
+        for line in header.splitlines()
+    )
+
+
+def _load_points(path: Path) -> npt.NDArray[Any]:
+    """Read a point cloud from a file, shape [n, 3]."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an empty file; its emptiness is reported later
+            match path.suffix.lower():
+                case ".npy":
+                    points = np.load(path, allow_pickle=False)
+                case ".ply":
+                    cloud: Any = trimesh.load(path, process=False)
+                    points = cloud.vertices
+                case suffix:
+                    comma = "," if suffix == ".csv" else None
+                    points = np.loadtxt(path, delimiter=comma, usecols=(0, 1, 2), ndmin=2)
+        return np.asarray(points, np.float64)
+    except (OSError, EOFError, ValueError, TypeError, IndexError, AttributeError) as error:
+        raise MeshError(
+            f"{path} cannot be read as a point cloud ({error}).",
+            "Give a file with three numbers x, y, z per point.",
+        ) from error
