@@ -62,13 +62,13 @@ def morph(
 
 @app.command()
 def shapes(as_json: AsJson = False) -> None:
-    """List the built-in shapes."""
+    """List the built-in shapes; text:HELLO makes extruded letters of any string."""
     from morph_engine.shapes import names
 
     if as_json:
         print_json({"shapes": list(names())})
     else:
-        typer.echo("\n".join(names()))
+        typer.echo("\n".join((*names(), "text:ANY STRING")))
 
 
 @app.command()

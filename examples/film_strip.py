@@ -21,7 +21,6 @@ from morph_engine.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 LIGHT = np.array([-0.4, 0.6, 0.7]) / np.linalg.norm([-0.4, 0.6, 0.7])
-EYE_AZIMUTH, EYE_ELEVATION = np.radians([25.0, 15.0])
 
 
 def film_strip(
@@ -29,26 +28,49 @@ def film_strip(
     colors: Array,
     *,
     radius: float,
+    view: Array,
     pixels: int = 420,
-    half_extent: float = 12.5,
+    half_extent: float = 12.0,
 ) -> Array:
     """Render point clouds side by side.
 
     Args:
-        clouds: Positions [dx], each of shape [n, 3], the y axis upwards.
+        clouds: Positions [dx], each of shape [n, 3].
         colors: One colour per particle, shape [n, 3], 0 to 1.
         radius: Radius of a particle [dx].
+        view: Rotation from the domain to the eye, shape [3, 3], see `look`.
         pixels: Edge of one square panel.
         half_extent: What a panel shows, from its centre to its edge [dx].
 
     Returns:
         RGB image, shape [pixels, pixels * len(clouds), 3], 0 to 1.
     """
-    return np.hstack([_panel(cloud, colors, radius, pixels, half_extent) for cloud in clouds])
+    return np.hstack(
+        [_panel(cloud @ view.T, colors, radius, pixels, half_extent) for cloud in clouds]
+    )
 
 
-def _panel(cloud: Array, colors: Array, radius: float, pixels: int, half_extent: float) -> Array:
-    seen = (cloud - cloud.mean(axis=0)) @ _view().T
+def look(*, azimuth: float, elevation: float, up: str) -> Array:
+    """Rotation from the domain to an eye that looks along -z with y upwards.
+
+    Args:
+        azimuth: Turn about the upward axis [degrees].
+        elevation: Height of the eye above the horizon [degrees].
+        up: The domain's upward axis, "y" or "z".
+
+    Returns:
+        Orthogonal matrix, shape [3, 3].
+    """
+    ca, sa = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+    ce, se = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
+    turn = np.array([[ca, 0, -sa], [0, 1, 0], [sa, 0, ca]])
+    tilt = np.array([[1, 0, 0], [0, ce, -se], [0, se, ce]])
+    upright = np.eye(3)[[1, 2, 0]] if up == "z" else np.eye(3)
+    view: Array = tilt @ turn @ upright
+    return view
+
+
+def _panel(seen: Array, colors: Array, radius: float, pixels: int, half_extent: float) -> Array:
     scale = pixels / (2 * half_extent)
     column, row = pixels / 2 + scale * seen[:, 0], pixels / 2 - scale * seen[:, 1]
 
@@ -95,31 +117,29 @@ def _openness(depth: Array, scale: float) -> Array:
     return np.clip(1 + 0.35 * (filled - around), 0.45, 1.25)
 
 
-def _view() -> Array:
-    """Rotation from the domain to the eye, which looks along -z with y upwards."""
-    ca, sa = np.cos(EYE_AZIMUTH), np.sin(EYE_AZIMUTH)
-    ce, se = np.cos(EYE_ELEVATION), np.sin(EYE_ELEVATION)
-    turn = np.array([[ca, 0, -sa], [0, 1, 0], [sa, 0, ca]])
-    tilt = np.array([[1, 0, 0], [0, ce, -se], [0, se, ce]])
-    return tilt @ turn
-
-
 def main() -> None:
     """Read the command line and write the picture."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("result", help="a .vtkhdf file")
     parser.add_argument("picture", type=Path, help="the .png file to write")
     parser.add_argument("--frames", type=int, nargs="+", default=[0, -1])
+    parser.add_argument("--up", choices=("y", "z"), default="y", help="the upward axis")
+    parser.add_argument("--azimuth", type=float, default=25.0, help="in degrees")
+    parser.add_argument("--elevation", type=float, default=15.0, help="in degrees")
     arguments = parser.parse_args()
 
     with Trajectory(arguments.result) as result:
         source = result.run.source_points.astype(np.float64)
         target = result.target_points.astype(np.float64)
-        clouds = [source, *(result.positions(k).astype(np.float64) for k in arguments.frames)]
-    height = (source[:, 1] - source[:, 1].min()) / np.ptp(source[:, 1])
+        frames = [result.positions(index).astype(np.float64) for index in arguments.frames]
+    view = look(azimuth=arguments.azimuth, elevation=arguments.elevation, up=arguments.up)
+    height = source @ view[1]
+    height = (height - height.min()) / np.ptp(height)
     colors = matplotlib.colormaps["turbo"](0.1 + 0.8 * height)[:, :3]
     spacing = (np.prod(np.ptp(target, axis=0)) / len(target)) ** (1 / 3)
-    image = film_strip(clouds, colors, radius=0.55 * spacing)
+    centre = (target.min(axis=0) + target.max(axis=0)) / 2
+    clouds = [cloud - centre for cloud in (source, *frames)]
+    image = film_strip(clouds, colors, radius=0.55 * spacing, view=view)
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
     matplotlib.image.imsave(arguments.picture, image)
 

@@ -1,0 +1,36 @@
+"""How numbers are written for people."""
+
+import pytest
+
+from client.display import clock, print_settings, size
+from morph_engine.config import field_paths
+from morph_engine.errors import ConfigError
+from morph_engine.presets import configure
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0:00"), (7.4, "0:07"), (760, "12:40"), (3723, "1:02:03")]
+)
+def test_clock(seconds, text):
+    """Minutes and seconds, with hours when there are any."""
+    assert clock(seconds) == text
+
+
+def test_size():
+    """Megabytes below one gigabyte, gigabytes from there."""
+    assert (size(512e6), size(1.34e9)) == ("512 MB", "1.3 GB")
+
+
+def test_every_setting_is_listed_with_its_meaning(capsys):
+    """`morph presets fast` leaves out no field, and brackets in a meaning survive."""
+    print_settings(configure())
+    listed = capsys.readouterr().out
+    for path, field in field_paths().items():
+        assert path in listed
+        assert (field.description or "") in listed
+
+
+def test_an_unknown_section_names_the_known_ones():
+    """The remedy of a mistyped section lists them."""
+    with pytest.raises(ConfigError, match="chamfer"):
+        print_settings(configure(), section="nope")
