@@ -276,14 +276,9 @@ def _of_run(run: Trajectory, frame: int) -> _Shape:
     return _Shape(
         points=run.positions(frame),
         to_user=run.transform,
-        spacing=_spacing(run),
+        spacing=run.config["grid"]["dx"] / run.config["sampling"]["points_per_cell_edge"],
         target=target,
     )
-
-
-def _spacing(run: Trajectory) -> float | None:
-    edge_count = run.config.get("points_per_cell_edge")
-    return 1 / edge_count if edge_count else None
 
 
 def _in_grid_units(shape: _Shape, other: _Shape) -> _Shape:
@@ -299,7 +294,9 @@ def _own_target(particles: _Shape, reference: Reference) -> _Shape:
     if reference == "volume":
         return particles.target
     if particles.target.mesh is None:
-        raise MeshError("The run's target is a cloud without a surface.", "Measure the volume.")
+        raise MeshError(
+            "The run's target is a cloud without a surface.", "Measure against the volume."
+        )
     return replace(particles.target, points=None)
 
 
@@ -307,7 +304,8 @@ def _fill(mesh: Mesh, spacing: float) -> npt.NDArray[np.float32]:
     try:
         return sample_lattice(mesh, spacing=spacing, minimum_count=1)
     except MeshError as error:  # its remedies are those of a run
-        raise MeshError(error.cause, "Choose another spacing for the lattice.") from error
+        remedy = "Change the lattice spacing (--points-per-cell-edge), or scale both shapes."
+        raise MeshError(error.cause, remedy) from error
 
 
 def _is_bare_cloud(path: Path) -> bool:

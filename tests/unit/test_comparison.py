@@ -146,7 +146,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     start, end = sample_lattice(box(5, 4, 4), spacing=0.4), sample_lattice(CUBE, spacing=0.4)
     start = start[: len(end)]
     run = RunRecord(
-        config={"points_per_cell_edge": 2.5},
+        config={"grid": {"dx": 1.2}, "sampling": {"points_per_cell_edge": 3}},
         source=box(10, 8, 8),
         target=replace(CUBE, vertices=CUBE.vertices * SCALE + 1),
         source_points=start,
@@ -167,16 +167,16 @@ def test_a_result_has_its_own_target(result: Path) -> None:
     with Trajectory(result) as run:
         grid_mesh = replace(CUBE, vertices=CUBE.vertices)
         expected = measure(run.positions(1), run.target_points, spacing=0.4, mesh=grid_mesh)
-        assert compare(run) == compare(result) == expected
+        assert compare(run, spacing=0.4) == compare(result, spacing=0.4) == expected
         first = measure(run.positions(0), run.target_points, spacing=0.4, mesh=grid_mesh)
-        assert compare(result, frame=0) == first
+        assert compare(result, frame=0, spacing=0.4) == first
 
 
 def test_shapes_are_brought_to_the_grid_of_a_result(result: Path) -> None:
     """A mesh in user coordinates is compared where the run had it, as either side."""
     in_user_units = replace(CUBE, vertices=CUBE.vertices * SCALE + 1)
     forth = compare(result, in_user_units)
-    assert forth.spacing == 0.4
+    assert forth.spacing == pytest.approx(0.4)
     assert forth.values["two_sided"] == 0
     assert forth.values["outside_share"] == 0
     assert compare(in_user_units, result).values["two_sided"] == 0
