@@ -20,6 +20,9 @@ Floats = npt.NDArray[np.float64]
 HALF_EXTENT = 14.0
 """Half edge of the cube [grid units] in which every particle has its full 64-node stencil."""
 
+FIT_HALF_EXTENT = 13.0
+"""Half edge [grid units] of the cube that meshes are fitted to, with room for some motion."""
+
 REFERENCE_VOLUME = 1394.26
 """Volume [grid units^3] of the paper's sphere, which `fit_to_domain` gives to other meshes."""
 
@@ -196,19 +199,19 @@ def fit_to_domain(
     *,
     mode: Fit = "none",
     reference_volume: float = REFERENCE_VOLUME,
-    half_extent: float = HALF_EXTENT,
+    half_extent: float = FIT_HALF_EXTENT,
 ) -> tuple[Mesh, Similarity]:
     """Scale a mesh and centre its bounding box in the domain.
 
     `volume` gives it the reference volume, so that source and target get about the same number
-    of particles, or the largest volume that fits if it is long and thin; `extent` makes it touch
-    the walls of the usable cube; `none` keeps its coordinates.
+    of particles, or the largest volume that fits if it is long and thin; `extent` makes it span the
+    cube; `none` keeps its coordinates.
 
     Args:
         mesh: Mesh in user coordinates.
         mode: `volume`, `extent` or `none`.
         reference_volume: Volume for `volume` [grid units^3].
-        half_extent: Half edge of the usable cube [grid units].
+        half_extent: Half edge of the cube to fit it to [grid units].
 
     Returns:
         The mesh in grid units, and the map from user coordinates to grid units.
