@@ -16,11 +16,14 @@ from rich.text import Text
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
-    from morph_engine.morphing import Event, Frame
+    from morph_engine.morphing import Frame
     from pydantic.fields import FieldInfo
 
     from morph_engine.config import MorphConfig
     from morph_engine.ingest import IngestReport
+
+_PIPED_WIDTH = 240
+"""Columns of a table that goes into a file or another program."""
 
 
 class RunDisplay:
@@ -40,7 +43,7 @@ class RunDisplay:
         self._first_frame = first_frame
         self._started = monotonic()
         self._progress = Progress(
-            TextColumn("frame {task.completed}/{task.total}"),
+            TextColumn("{task.completed}/{task.total}"),
             BarColumn(),
             TextColumn("{task.description}"),
             console=self._console,
@@ -64,14 +67,14 @@ class RunDisplay:
     def show(self, frame: Frame) -> None:
         """Show a finished frame."""
         for event in frame.events:
-            self._console.print(event_line(event))
+            self._console.print(Text(event.message))
         done = frame.index + 1
         left = (
             (monotonic() - self._started) / (done - self._first_frame) * (self._frame_count - done)
         )
         text = f"{losses(frame.metrics)}  left {clock(left)}"
         if self._progress.disable:
-            self._console.print(f"frame {done}/{self._frame_count}  {text}")
+            self._console.print(f"frame {frame.index}  {done}/{self._frame_count}  {text}")
         else:
             self._progress.update(self._task, completed=done, description=text)
 
@@ -84,11 +87,6 @@ def losses(metrics: Mapping[str, float]) -> str:
         if name in metrics
     ]
     return "  ".join(parts)
-
-
-def event_line(event: Event) -> str:
-    """One line for a watchdog event."""
-    return f"frame {event.frame + 1}: {event.message}"
 
 
 def clock(seconds: float) -> str:
@@ -214,4 +212,5 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_column(name, overflow="fold", no_wrap=column == 0)
     for row in rows:
         table.add_row(*map(Text, row))  # Text: brackets are brackets, not markup
-    Console(highlight=False, soft_wrap=not sys.stdout.isatty()).print(table)
+    width = None if sys.stdout.isatty() else _PIPED_WIDTH
+    Console(highlight=False, width=width).print(table)
