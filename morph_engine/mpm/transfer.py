@@ -39,7 +39,7 @@ def claim_planes(
     partial: ti.template(),
     geometry: ti.template(),
 ):
-    """Clear the x planes of a chunk's private grid that its particles reach; returns its offset."""
+    """Clear the x planes of a chunk's private grid that its points reach; returns its offset."""
     nodes, width = ti.static(geometry.nodes, geometry.width)
     low, high = nodes, -1
     for p in range(first, last):
@@ -49,7 +49,7 @@ def claim_planes(
     planes[chunk] = ti.Vector([low, high])
     offset = chunk * nodes**3
     for i in range(offset + low * nodes**2, offset + (high + 1) * nodes**2):
-        partial[i] = zero4()
+        partial[i] = ti.zero(partial[i])
     return offset
 
 
@@ -95,10 +95,9 @@ def gather_chunks(
     atomic: ti.template(),
 ):
     """Sum node i over the private grids that hold its plane, in the order of the chunks."""
-    total = zero4()
-    if ti.static(atomic):
-        total = partial[i]
-    else:
+    total = partial[i]
+    if ti.static(not atomic):
+        total = ti.zero(total)
         plane = i // ti.static(geometry.nodes**2)
         for c in range(chunk_count):
             if planes[c][0] <= plane and plane <= planes[c][1]:

@@ -1,0 +1,220 @@
+"""Grid mass loss: how the mass on the grid differs from the target's (algorithm 3)."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from morph_engine import backend
+from morph_engine.backend import CPU_CHUNK_STRIDE
+from morph_engine.mpm import kernel
+from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.transfer import chunk_bounds, claim_planes, gather_chunks
+
+SHIFT = 1.0 + 1e-4  # 1 + eps inside the logarithms
+SMALLEST_MASS = 1e-12
+
+
+class GridMass:
+    """Mass of a fixed number of points on the grid (algorithm 1.3, 3).
+
+    Args:
+        point_count: Number of points.
+        point_mass: Mass of each.
+        geometry: Background grid.
+    """
+
+    def __init__(self, point_count: int, point_mass: float, geometry: Geometry) -> None:
+        device = backend.active()
+        self.point_count, self.point_mass, self.geometry = point_count, point_mass, geometry
+        self._atomic = not device.on_cpu
+        self._chunk_count, self._chunk_size, _ = device.chunks(point_count)
+        grids = self._chunk_count if device.on_cpu else 1
+        self._partial = device.scalars(grids * geometry.node_count)
+        self._planes = device.integer_pairs(grids)
+        self.nodes = device.scalars(geometry.node_count)
+
+    def gather(self, x: Any) -> Any:
+        """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
+        _mass_to_grid(
+            x, self._partial, self._planes, self.nodes, self.point_count, self.point_mass,
+            self._chunk_count, self._chunk_size, self.geometry, self._atomic,
+        )  # fmt: skip
+        return self.nodes
+
+    def rest_volumes(self, x: Any) -> NDArray[Any]:
+        """Rest volumes of particles at x from the density they see [dx^3] (algorithm 1.3)."""
+        volumes = backend.active().scalars(self.point_count)
+        _volumes(x, self.gather(x), volumes, self.point_count, self.point_mass, self.geometry)
+        return np.asarray(volumes.to_numpy())
+
+
+class GridMassLoss:
+    """L = 1/2 sum_i (ln(M_i + 1 + eps) - ln(M*_i + 1 + eps))^2 and its gradient (algorithm 3).
+
+    Args:
+        target: Target points [dx], device array, shape [m, 3].
+        particle_count: Number of particles.
+        point_mass: Mass of each particle and of each target point.
+        geometry: Background grid.
+        outside_factor: Factor on the gradient of nodes without target mass.
+    """
+
+    def __init__(
+        self,
+        target: Any,
+        *,
+        particle_count: int,
+        point_mass: float,
+        geometry: Geometry,
+        outside_factor: float,
+    ) -> None:
+        self._goal = GridMass(target.shape[0], point_mass, geometry).gather(target)
+        self._mass = GridMass(particle_count, point_mass, geometry)
+        self._slope = backend.active().scalars(geometry.node_count)
+        self._plane_sums = backend.active().scalars(geometry.nodes)
+        self._outside_factor = outside_factor
+        self._geometry = geometry
+
+    def evaluate(self, x: Any) -> float:
+        """The loss of particles at x [dx], shape [n, 3]."""
+        _log_mass_loss(
+            self._mass.gather(x), self._goal, self._slope, self._plane_sums,
+            self._outside_factor, self._geometry,
+        )  # fmt: skip
+        return float(self._plane_sums.to_numpy().sum(dtype=np.float64))
+
+    def gradient(self, x: Any, x_bar: Any, weight: float = 1.0) -> None:
+        """Write weight * gradient at the x evaluated last to x_bar, shape [n, 3]."""
+        factor = weight * self._mass.point_mass
+        _mass_to_grid_adjoint(
+            x, self._slope, x_bar, self._mass.point_count, factor, self._geometry
+        )
+
+
+@ti.kernel
+def _mass_to_grid(
+    x: ti.types.ndarray(),
+    partial: ti.types.ndarray(),
+    planes: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    count: int,
+    point_mass: float,
+    chunk_count: int,
+    chunk_size: int,
+    geometry: ti.template(),
+    atomic: ti.template(),
+):
+    """M_i = sum_p w_ip m, on nodes inside the domain."""
+    nodes, width = ti.static(geometry.nodes, geometry.width)
+    if ti.static(atomic):
+        for i in range(geometry.node_count):
+            partial[i] = 0.0
+    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
+    for task in range(chunk_count * stride):
+        if task % stride == 0:
+            chunk = task // stride
+            first, last = chunk_bounds(chunk, chunk_size, count)
+            offset = 0
+            if ti.static(not atomic):
+                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
+            for p in range(first, last):
+                base, u = kernel.base_and_offset(x[p], geometry)
+                wx = kernel.weights(u.x, width)
+                wy = kernel.weights(u.y, width)
+                wz = kernel.weights(u.z, width) * point_mass
+                corner = offset + kernel.flat_index(base, geometry)
+                for i in ti.static(range(width)):
+                    for j in ti.static(range(width)):
+                        row = corner + (i * nodes + j) * nodes
+                        for k in ti.static(range(width)):
+                            share = wx[i] * wy[j] * wz[k]
+                            if ti.static(atomic):
+                                ti.atomic_add(partial[row + k], share)
+                            else:
+                                partial[row + k] = partial[row + k] + share
+    for i in range(geometry.node_count):
+        total = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
+        mass[i] = total if kernel.is_inside(i, geometry) else 0.0
+
+
+@ti.kernel
+def _mass_to_grid_adjoint(
+    x: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
+    x_bar: ti.types.ndarray(),
+    count: int,
+    factor: float,
+    geometry: ti.template(),
+):
+    """x_bar_p = factor sum_i dL/dM_i grad w_ip."""
+    dx, nodes, width = ti.static(geometry.dx, geometry.nodes, geometry.width)
+    for p in range(count):
+        base, u = kernel.base_and_offset(x[p], geometry)
+        wx, gx = kernel.weights(u.x, width), kernel.slopes(u.x, width)
+        wy, gy = kernel.weights(u.y, width), kernel.slopes(u.y, width)
+        wz, gz = kernel.weights(u.z, width), kernel.slopes(u.z, width)
+        corner = kernel.flat_index(base, geometry)
+        gradient = ti.Vector.zero(float, 3)
+        for i in ti.static(range(width)):
+            for j in ti.static(range(width)):
+                row = corner + (i * nodes + j) * nodes
+                line, line_z = 0.0, 0.0
+                for k in ti.static(range(width)):
+                    line += wz[k] * slope[row + k]
+                    line_z += gz[k] * slope[row + k]
+                gradient += ti.Vector(
+                    [gx[i] * wy[j] * line, wx[i] * gy[j] * line, wx[i] * wy[j] * line_z]
+                )
+        x_bar[p] = gradient * (factor / dx)
+
+
+@ti.kernel
+def _log_mass_loss(
+    mass: ti.types.ndarray(),
+    goal: ti.types.ndarray(),
+    slope: ti.types.ndarray(),
+    plane_sums: ti.types.ndarray(),
+    outside_factor: float,
+    geometry: ti.template(),
+):
+    """Loss summed per x plane, and the factor of each node in the gradient."""
+    plane_size = ti.static(geometry.nodes**2)
+    for task in range(geometry.nodes * CPU_CHUNK_STRIDE):
+        if task % CPU_CHUNK_STRIDE == 0:
+            plane = task // CPU_CHUNK_STRIDE
+            total = 0.0
+            for i in range(plane * plane_size, (plane + 1) * plane_size):
+                shifted = mass[i] + SHIFT
+                g = ti.log(shifted / (goal[i] + SHIFT))
+                total += 0.5 * g * g
+                factor = ti.select(goal[i] > SMALLEST_MASS, 1.0, outside_factor)
+                slope[i] = factor * g / shifted
+            plane_sums[plane] = total
+
+
+@ti.kernel
+def _volumes(
+    x: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    volumes: ti.types.ndarray(),
+    count: int,
+    point_mass: float,
+    geometry: ti.template(),
+):
+    """V_p = m dx^3 / sum_i w_ip M_i."""
+    dx, nodes, width = ti.static(geometry.dx, geometry.nodes, geometry.width)
+    for p in range(count):
+        base, u = kernel.base_and_offset(x[p], geometry)
+        wx = kernel.weights(u.x, width)
+        wy = kernel.weights(u.y, width)
+        wz = kernel.weights(u.z, width)
+        corner = kernel.flat_index(base, geometry)
+        density = 0.0
+        for i in ti.static(range(width)):
+            for j in ti.static(range(width)):
+                row = corner + (i * nodes + j) * nodes
+                for k in ti.static(range(width)):
+                    density += wx[i] * wy[j] * wz[k] * mass[row + k]
+        volumes[p] = point_mass * dx**3 / ti.max(density, SMALLEST_MASS)

@@ -1,0 +1,92 @@
+"""The published program's neighbour search, for reproducing its numbers (algorithm 5.1).
+
+It looks only into the 27 grid cells around a query: within one cell width the answer is exact,
+beyond it may be a farther point, and without any point in the 27 cells there is no match.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine.mpm.kernel import Geometry
+
+if TYPE_CHECKING:
+    from morph_engine.losses.chamfer import Matches
+
+Points = NDArray[np.float64]
+
+
+def restrict_to_cells(
+    matches: Matches, x: Any, forward: Points, reverse: Points, geometry: Geometry
+) -> tuple[Points, Points]:
+    """Replace exact matches beyond one cell width by those of the 27-cell search.
+
+    Args:
+        matches: Exact matches; changed in place where the two differ.
+        x: Particle positions [dx], device array, shape [n, 3].
+        forward, reverse: Exact distances [dx], shapes [n] and [m].
+        geometry: Background grid.
+
+    Returns:
+        The distances [dx]; infinite where there is no match.
+    """
+    if max(forward.max(), reverse.max()) <= geometry.dx:
+        return forward, reverse
+    particles = x.to_numpy().astype(np.float64)
+    target = matches.target.to_numpy().astype(np.float64)
+    for queries, points, index, distance in (
+        (particles, target, matches.forward, forward),
+        (target, particles, matches.reverse, reverse),
+    ):
+        far = np.flatnonzero(distance > geometry.dx)
+        if len(far):
+            found = index.to_numpy()
+            found[far], distance[far] = search_cells(queries[far], points, geometry)
+            index.from_numpy(found)
+    return forward, reverse
+
+
+def search_cells(
+    queries: Points, points: Points, geometry: Geometry
+) -> tuple[NDArray[np.int32], Points]:
+    """Nearest point within the 27 cells around each query.
+
+    Returns:
+        Index (-1 for none) and distance [dx] (infinite for none), shape [q].
+    """
+    side = geometry.nodes + 2
+
+    def cells(p: Points) -> NDArray[np.int64]:
+        return np.clip(np.floor((p - geometry.origin) / geometry.dx), 0, side - 3).astype(int) + 1
+
+    def key(cell: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.asarray((cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2])
+
+    order = np.argsort(key(cells(points)), kind="stable")
+    sorted_keys = key(cells(points))[order]
+    home = cells(queries)
+    best_index = np.full(len(queries), -1, np.int32)
+    best_distance = np.full(len(queries), np.inf)
+    for offset in np.ndindex(3, 3, 3):
+        cell = key(home + np.array(offset) - 1)
+        first = np.searchsorted(sorted_keys, cell, "left")
+        count = np.searchsorted(sorted_keys, cell, "right") - first
+        some = np.flatnonzero(count)
+        if not len(some):
+            continue
+        starts = np.cumsum(count[some]) - count[some]
+        within = np.arange(count[some].sum()) - np.repeat(starts, count[some])
+        candidate = order[np.repeat(first[some], count[some]) + within]
+        query = np.repeat(some, count[some])
+        distance = np.linalg.norm(queries[query] - points[candidate], axis=1)
+        nearest = np.minimum.reduceat(distance, starts)
+        better = nearest < best_distance[some]
+        for which in np.flatnonzero(better):
+            end = starts[which] + count[some][which]
+            at = starts[which] + int(np.argmin(distance[starts[which] : end]))
+            best_index[some[which]] = candidate[at]
+            best_distance[some[which]] = distance[at]
+    return best_index, best_distance

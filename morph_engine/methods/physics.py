@@ -1,0 +1,135 @@
+"""Differentiable MPM driven by the grid mass loss alone (algorithm 8.1)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine import backend
+from morph_engine.config import MorphConfig
+from morph_engine.control import FrameControl, FrameReport
+from morph_engine.losses.chamfer import ChamferLoss, Matches
+from morph_engine.losses.grid_mass import GridMass, GridMassLoss
+from morph_engine.methods.protocol import FrameOutcome, Method, Problem
+from morph_engine.mpm import step
+from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
+from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.state import Particles
+from morph_engine.schedule import frame_weights
+
+MODELS = {"neo_hookean": NEO_HOOKEAN, "fixed_corotated": FIXED_COROTATED}
+
+
+class Physics(Method):
+    """Matter flows under internal forces so that its mass on the grid becomes the target's."""
+
+    name: ClassVar[str] = "physics"
+    with_chamfer: ClassVar[bool] = False
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        config = problem.config
+        device = backend.active()
+        n = len(problem.source)
+        mass = config.material.density * config.spacing**3
+        geometry = grid_geometry(config)
+        self._geometry = geometry
+        self._mass = mass
+        self._particles = Particles.at_rest(problem.source.astype(device.numpy_real))
+        source, target = device.upload(problem.source), device.upload(problem.target)
+        self._rest_volume = (
+            GridMass(n, mass, geometry).rest_volumes(source)
+            if config.sampling.rest_volume == "density"
+            else np.full(n, config.spacing**3, device.numpy_real)
+        )
+        self._simulation = step.Simulation(
+            self._rest_volume,
+            geometry=geometry,
+            physics=step.Physics(
+                model=MODELS[config.material.model],
+                lame_lambda=config.material.lame_lambda,
+                lame_mu=config.material.lame_mu,
+                particle_mass=mass,
+                drag=config.material.drag,
+                dt=config.time.dt,
+            ),
+            transitions=config.time.transitions_per_frame,
+            domain=config.domain,
+            largest_cells_per_step=config.watchdog.cells_per_step,
+            adjoint=step.AdjointFlags(**config.adjoint.model_dump()),
+        )
+        self._matches = Matches(target, source)
+        self._control = FrameControl(
+            self._simulation,
+            GridMassLoss(
+                target,
+                particle_count=n,
+                point_mass=mass,
+                geometry=geometry,
+                outside_factor=config.grid_loss.outside_factor,
+            ),
+            ChamferLoss(self._matches, config.chamfer, geometry) if self.with_chamfer else None,
+            config,
+        )
+
+    def advance(self, frame: int) -> FrameOutcome:
+        """Optimise the control of one frame and carry its last layer on (algorithm 6.4)."""
+        simulation = self._simulation
+        order = self._cell_order()
+        simulation.volume.from_numpy(self._rest_volume[order])
+        simulation.layers[0].upload(self._particles.permuted(order))
+        self._matches.rebuild(simulation.layers[0].x)
+        weights = frame_weights(self.problem.config, frame, with_chamfer=self.with_chamfer)
+        report = self._control.run(frame, weights)
+        self._matches.update(simulation.last.x)
+        d_fwd, d_rev = self._matches.distances()
+        original = np.argsort(order)
+        self._particles = simulation.last.download().permuted(original)
+        return FrameOutcome(
+            positions=self._particles.x.astype(np.float32),
+            d_fwd=d_fwd[original],
+            nearest_fwd=self._matches.forward.to_numpy()[original],
+            d_rev=d_rev,
+            deformation=self._particles.F,
+            numbers=self._numbers(report),
+            events=tuple(report.events),
+        )
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Positions, velocities, affine velocities and deformation gradients."""
+        p = self._particles
+        return {"x": p.x, "v": p.v, "C": p.C, "F": p.F}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take up a state that `state` returned."""
+        self._particles = Particles(**state)
+
+    def _cell_order(self) -> NDArray[np.intp]:
+        """Particles by grid cell, z fastest: neighbours in space become neighbours in memory."""
+        g = self._geometry
+        cell = np.floor((self._particles.x - g.origin) / g.dx).astype(np.int64)
+        key = (cell[:, 0] * g.nodes + cell[:, 1]) * g.nodes + cell[:, 2]
+        return np.argsort(key, kind="stable")
+
+    def _numbers(self, report: FrameReport) -> dict[str, float]:
+        speed_squared = np.sum(self._particles.v.astype(np.float64) ** 2, axis=1)
+        return {
+            "loss_physics": report.losses.physics,
+            "loss_chamfer": report.losses.chamfer,
+            "kinetic_energy": float(0.5 * self._mass * speed_squared.sum()),
+            "max_speed": float(np.sqrt(speed_squared.max())),
+            "accepted_steps": float(report.accepted),
+            "failed_steps": float(report.failed),
+            "dt": report.dt,
+        }
+
+
+def grid_geometry(config: MorphConfig) -> Geometry:
+    """The background grid of a configuration."""
+    return Geometry(
+        dx=config.grid.dx,
+        half_extent=config.grid.half_extent,
+        width=4 if config.grid.kernel == "cubic" else 3,
+    )

@@ -1,0 +1,356 @@
+"""A morph from beginning to end: shapes to particles, frame after frame, to a result file.
+
+    for frame in morph("sphere", "star"):
+        print(frame.index, frame.metrics["two_sided"])
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from morph_engine import backend, methods
+from morph_engine.config import MorphConfig
+from morph_engine.cost import estimate
+from morph_engine.errors import MeshError, ResourceError
+from morph_engine.events import Event
+from morph_engine.fill import fill_metrics, outside_metrics
+from morph_engine.mesh import Mesh
+from morph_engine.methods import FrameOutcome, Problem
+from morph_engine.metrics import chamfer_metrics, deformation_metrics
+from morph_engine.presets import configure
+from morph_engine.run_record import Geometry, RunRecord
+from morph_engine.sampling import Similarity, fit_to_domain, sample_lattice
+from morph_engine.shapes import resolve_shape
+from morph_engine.spool import Spool
+from morph_engine.trajectory import write_result
+
+Shape = Mesh | NDArray[Any] | str | Path
+"""A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
+
+MEGABYTE = 1e6
+FEWEST_POINTS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame of a morph.
+
+    Attributes:
+        index: 0-based frame index.
+        positions: Particle positions [dx], shape [n, 3], float32, in the order of the source.
+        metrics: Metrics by name, see `metrics.METRICS`.
+        events: What the watchdog did in this frame.
+        seconds: Wall-clock time of the frame [s].
+        cpu_seconds: CPU time of the frame, summed over threads [s].
+    """
+
+    index: int
+    positions: NDArray[np.float32]
+    metrics: dict[str, float]
+    events: tuple[Event, ...]
+    seconds: float
+    cpu_seconds: float
+
+
+def prepare(source: Shape, target: Shape, config: MorphConfig | None = None) -> RunRecord:
+    """Turn two shapes into particles and target points, in the domain of the configuration.
+
+    Raises:
+        MeshError: A shape is unusable, does not fit the domain, or holds too few particles.
+    """
+    config = config or configure()
+    source_shape, target_shape = _resolve(source), _resolve(target)
+    source_points, _ = _points(source_shape, config)
+    target_points, to_grid = _points(target_shape, config)
+    preset, _, version = config.preset.rpartition("-")
+    return RunRecord(
+        config=config.model_dump(mode="json"),
+        source=source_shape,
+        target=target_shape,
+        source_points=source_points,
+        target_points=target_points,
+        transform=_matrix(to_grid.inverse()),
+        preset=preset or config.preset,
+        preset_version=int(version) if version.isdigit() else 0,
+        seeds={"jitter": config.seed},
+    )
+
+
+def morph(
+    source: Shape,
+    target: Shape,
+    config: MorphConfig | None = None,
+    *,
+    device: backend.Device = "auto",
+    threads: int = 0,
+    out: str | Path | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Iterator[Frame]:
+    """Morph one shape into another, frame by frame.
+
+    Args:
+        source: Where the particles come from.
+        target: What they are to become.
+        config: All parameters; the default preset when not given.
+        device: Where to compute.
+        threads: CPU threads; 0 takes every core.
+        out: Result file (VTKHDF). Every finished frame is safe on disk at once, and the file is
+            written when the run ends, whether complete or interrupted.
+        resume: Go on with the unfinished run of `out`; the frames already there come first.
+        overwrite: Replace an unfinished run of `out`.
+
+    Yields:
+        The frames in order.
+
+    Raises:
+        MorphError: Bad input, no memory, or a frame that cannot be completed.
+    """
+    yield from run(
+        prepare(source, target, config),
+        device=device,
+        threads=threads,
+        out=out,
+        resume=resume,
+        overwrite=overwrite,
+    )
+
+
+def run(
+    record: RunRecord,
+    *,
+    device: backend.Device = "auto",
+    threads: int = 0,
+    out: str | Path | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Iterator[Frame]:
+    """Run, resume or repeat what a run record describes; arguments as for `morph`."""
+    config = MorphConfig.model_validate(record.config)
+    check_resources(record, config, out)
+    if out is None:
+        yield from _frames(record, config, device, threads)
+        return
+    spool = (
+        Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
+    )
+    with spool:
+        complete = False
+        try:
+            yield from _frames(record, config, device, threads, spool)
+            complete = True
+        finally:
+            if spool.frame_count:
+                write_result(spool, status="complete" if complete else "partial")
+        spool.remove()
+
+
+def check_resources(
+    record: RunRecord, config: MorphConfig, out: str | Path | None = None
+) -> None:
+    """Refuse a run that this machine cannot hold.
+
+    Raises:
+        ResourceError: Not enough memory or disk.
+    """
+    need = estimate(len(record.source_points), len(record.target_points), config.frames)
+    free = psutil.virtual_memory().available / MEGABYTE
+    if need.memory_mb > free:
+        raise ResourceError(
+            f"The run needs about {need.memory_mb:,.0f} MB of memory and {free:,.0f} MB are free.",
+            "Lower --points-per-cell-edge, or free some memory.",
+        )
+    if out is None:
+        return
+    folder = Path(out).absolute().parent
+    if not folder.is_dir():
+        raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another --out.")
+    # The frames lie on the disk twice while the result is assembled.
+    disk = 2 * record.source_points.nbytes * config.frames / MEGABYTE + 10
+    room = psutil.disk_usage(str(folder)).free / MEGABYTE
+    if disk > room:
+        raise ResourceError(
+            f"The result needs {disk:,.0f} MB of disk and {room:,.0f} MB are free in {folder}.",
+            "Free some space, or choose another --out or fewer --frames.",
+        )
+
+
+def _frames(
+    record: RunRecord,
+    config: MorphConfig,
+    device: backend.Device,
+    threads: int,
+    spool: Spool | None = None,
+) -> Iterator[Frame]:
+    backend.start(device, threads=threads, precision=config.precision)
+    problem = Problem(record.source_points, record.target_points, config)
+    method = methods.find(config.method)(problem)
+    stopping = EarlyStopping(config)
+    start = 0
+    checkpoint = spool.load_checkpoint() if spool else None
+    if spool and checkpoint:
+        spool.truncate_after(checkpoint.frame)
+        start = checkpoint.frame + 1
+        method.restore(checkpoint.arrays)
+        stopping.restore(checkpoint.scalars)
+        for index in range(start):
+            events = [Event(**e) for e in spool.events if e["frame"] == index]
+            yield Frame(
+                index, spool.positions(index), spool.metrics(index), tuple(events), 0.0, 0.0
+            )
+    elif spool:
+        spool.truncate_after(-1)
+    for index in range(start, config.frames):
+        if stopping.stopped:
+            return
+        wall, cpu = time.perf_counter(), time.process_time()
+        outcome = method.advance(index)
+        metrics = _measure(outcome, record, config, threads, last=index == config.frames - 1)
+        events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
+        frame = Frame(
+            index=index,
+            positions=outcome.positions,
+            metrics=metrics,
+            events=tuple(events),
+            seconds=time.perf_counter() - wall,
+            cpu_seconds=time.process_time() - cpu,
+        )
+        if spool:
+            spool.append(index, frame.positions, metrics, [e.document() for e in events])
+            spool.save_checkpoint(index, method.state(), stopping.state())
+        yield frame
+
+
+def _measure(
+    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int, *, last: bool
+) -> dict[str, float]:
+    """Metrics of a frame; the floor-free ones, which take longer, of the last frame only."""
+    workers = threads or os.cpu_count() or 1
+    metrics = chamfer_metrics(
+        outcome.positions,
+        record.target_points,
+        spacing=config.spacing,
+        tau=config.f1_tau,
+        domain_half_extent=config.domain,
+        d_fwd=outcome.d_fwd,
+        nearest_fwd=outcome.nearest_fwd,
+        d_rev=outcome.d_rev,
+        workers=workers,
+    )
+    if outcome.deformation is not None:
+        metrics |= deformation_metrics(outcome.deformation)
+    if last:
+        metrics |= fill_metrics(
+            outcome.positions, record.target_points, spacing=config.spacing, workers=workers
+        )
+        if isinstance(record.target, Mesh):
+            to_user = record.transform
+            user = outcome.positions @ to_user[:3, :3].T + to_user[:3, 3]
+            scale = float(np.cbrt(np.linalg.det(to_user[:3, :3])))
+            outside = outside_metrics(user, record.target)
+            metrics |= {
+                name: value if name.endswith("share") else value / scale
+                for name, value in outside.items()
+            }
+    return metrics | outcome.numbers
+
+
+class EarlyStopping:
+    """Stops when s->t has not improved for some frames (algorithm 6.5)."""
+
+    def __init__(self, config: MorphConfig) -> None:
+        self._config = config.stopping
+        self._best = float("inf")
+        self._waited = 0
+
+    @property
+    def stopped(self) -> bool:
+        """Whether no further frame is wanted."""
+        return 0 < self._config.patience <= self._waited
+
+    def observe(self, frame: int, s2t: float) -> list[Event]:
+        """Take in a frame's s->t; an event when it ends the run."""
+        if s2t < self._best - self._config.tolerance:
+            self._best, self._waited = s2t, 0
+        elif frame >= self._config.earliest_frame or self._waited + 1 < self._config.patience:
+            self._waited += 1
+        if not self.stopped:
+            return []
+        return [
+            Event(
+                frame,
+                "stopped",
+                f"Stopped after frame {frame}: s2t has not improved for {self._waited} frames.",
+                {"best_s2t": self._best},
+            )
+        ]
+
+    def state(self) -> dict[str, Any]:
+        """What a resumed run must know."""
+        return {"best": self._best, "waited": self._waited}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take up a state that `state` returned."""
+        self._best, self._waited = state["best"], state["waited"]
+
+
+def _resolve(shape: Shape) -> Geometry:
+    if isinstance(shape, (str, Path)):
+        return resolve_shape(str(shape))
+    return shape
+
+
+def _points(
+    shape: Geometry, config: MorphConfig
+) -> tuple[NDArray[np.float32], Similarity]:
+    """Points of a shape in grid units, and the map from the user's coordinates."""
+    if not isinstance(shape, Mesh):
+        return _cloud(shape, config), Similarity()
+    mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
+    _check_domain(mesh.vertices, mesh.name, config)
+    jitter = "published" if config.sampling.lattice == "published" else "none"
+    points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter)
+    return points, similarity
+
+
+def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
+    cloud = np.asarray(points, np.float32)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise MeshError(
+            f"A point cloud has shape [n, 3], not {list(cloud.shape)}.", "Give one row per point."
+        )
+    if not np.isfinite(cloud).all():
+        raise MeshError("The point cloud holds non-finite coordinates.", "Remove those points.")
+    if len(cloud) < FEWEST_POINTS:
+        raise MeshError(
+            f"The point cloud has {len(cloud)} points, fewer than {FEWEST_POINTS}.",
+            "Sample it more densely.",
+        )
+    _check_domain(cloud, "The point cloud", config)
+    return cloud
+
+
+def _check_domain(points: NDArray[Any], name: str, config: MorphConfig) -> None:
+    reach = float(np.abs(points).max())
+    if reach > config.domain:
+        raise MeshError(
+            f"{name} reaches to {reach:.4g} grid units, beyond the domain of "
+            f"+-{config.domain:g}.",
+            "Fit it to the domain with --fit volume or --fit extent.",
+        )
+
+
+def _matrix(similarity: Similarity) -> NDArray[np.float64]:
+    matrix = np.eye(4)
+    matrix[:3, :3] *= similarity.scale
+    matrix[:3, 3] = similarity.offset
+    return matrix

@@ -1,0 +1,128 @@
+"""Update rule for the control: AMSGrad on normalised gradients, with caps (algorithm 6.3)."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from morph_engine import backend
+from morph_engine.backend import CPU_CHUNK_STRIDE
+from morph_engine.config import OptimizerConfig
+
+NORM_CHUNKS = 16
+
+LARGEST_STEP = (5e-3, 5e-2)  # absolute, and relative to max(1, |U|), per particle
+STATIONARY_STEP = (1e-4, 1e-3)  # below this the update is damped
+STATIONARY_DAMPING = 0.2
+
+
+class Norm:
+    """Frobenius norm of matrices on the device, summed in a fixed order."""
+
+    def __init__(self) -> None:
+        self._sums = backend.active().scalars(NORM_CHUNKS)
+
+    def __call__(self, matrices: Any) -> float:
+        """The norm over all entries of all matrices, shape [n, 3, 3]."""
+        _square_sums(matrices, self._sums)
+        return float(np.sqrt(self._sums.to_numpy().sum(dtype=np.float64)))
+
+
+class LayerControl:
+    """Control of one layer and its moments, committed and on trial.
+
+    Args:
+        particle_count: Number of particles.
+        config: Update rule.
+    """
+
+    def __init__(self, particle_count: int, config: OptimizerConfig) -> None:
+        device = backend.active()
+        self._config = config
+        self._kept = [device.matrices(particle_count) for _ in range(4)]
+        self._trial = [device.matrices(particle_count) for _ in range(4)]
+
+    @property
+    def kept(self) -> Any:
+        """The committed control U, shape [n, 3, 3]."""
+        return self._kept[0]
+
+    def reset(self) -> None:
+        """Zero control and moments, as at the start of a frame."""
+        for array in self._kept:
+            array.fill(0)
+
+    def try_step(self, gradient: Any, norm: float, step: float, count: int) -> Any:
+        """A trial control.
+
+        Args:
+            gradient: Control gradient, shape [n, 3, 3].
+            norm: The gradient is divided by this.
+            step: Step length alpha.
+            count: 1-based number of this update, for the bias corrections.
+
+        Returns:
+            The trial control, shape [n, 3, 3].
+        """
+        c = self._config
+        _adam(
+            gradient, *self._kept, *self._trial, 1.0 / norm, step, c.beta1, c.beta2, c.epsilon,
+            1.0 / (1.0 - c.beta1**count), 1.0 / (1.0 - c.beta2**count),
+        )  # fmt: skip
+        return self._trial[0]
+
+    def accept(self) -> None:
+        """Commit the trial."""
+        self._kept, self._trial = self._trial, self._kept
+
+
+@ti.kernel
+def _square_sums(matrices: ti.types.ndarray(), sums: ti.types.ndarray()):
+    chunk = (matrices.shape[0] + NORM_CHUNKS - 1) // NORM_CHUNKS
+    for task in range(NORM_CHUNKS * CPU_CHUNK_STRIDE):
+        if task % CPU_CHUNK_STRIDE == 0:
+            lane = task // CPU_CHUNK_STRIDE
+            total = 0.0
+            for p in range(lane * chunk, ti.min((lane + 1) * chunk, matrices.shape[0])):
+                total += matrices[p].norm_sqr()
+            sums[lane] = total
+
+
+@ti.kernel
+def _adam(
+    gradient: ti.types.ndarray(),
+    control: ti.types.ndarray(),
+    first: ti.types.ndarray(),
+    second: ti.types.ndarray(),
+    largest: ti.types.ndarray(),
+    control_new: ti.types.ndarray(),
+    first_new: ti.types.ndarray(),
+    second_new: ti.types.ndarray(),
+    largest_new: ti.types.ndarray(),
+    scale: float,
+    step: float,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    correction1: float,
+    correction2: float,
+):
+    for p in range(gradient.shape[0]):
+        g = gradient[p] * scale
+        m = beta1 * first[p] + (1 - beta1) * g
+        a = beta2 * second[p] + (1 - beta2) * (g * g)
+        u = ti.max(largest[p], a * correction2)
+        direction = (m * correction1) / (ti.max(ti.sqrt(u), 1e-8) + epsilon)
+        old = control[p]
+        size = ti.max(1.0, old.norm())
+        length = step * direction.norm()
+        cap = ti.max(LARGEST_STEP[0], LARGEST_STEP[1] * size)
+        change = step * direction
+        if length > cap:
+            change *= cap / length
+        if length <= ti.max(STATIONARY_STEP[0], STATIONARY_STEP[1] * size):
+            change *= STATIONARY_DAMPING
+        control_new[p] = old - change
+        first_new[p] = m
+        second_new[p] = a
+        largest_new[p] = u
