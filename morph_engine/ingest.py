@@ -25,8 +25,8 @@ AMBIGUOUS_LIMIT = 0.05
 AMBIGUOUS_DISTANCE = 0.25
 """Distance of a winding number from the nearest integer that makes its point ambiguous."""
 
-PROBE_COUNT = 50_000
-PROBES_PER_AXIS = 128
+PROBE_COUNT = 20_000
+PROBES_PER_AXIS = 64
 
 
 class Resolution(BaseModel):
@@ -57,7 +57,7 @@ class IngestReport(BaseModel):
     volume: float = Field(description="Enclosed volume; overlapping parts count twice")
     bounds: tuple[Vector, Vector] = Field(description="Corners of the bounding box")
     fits_domain: bool = Field(description="Lies in the usable cube as it is")
-    resolutions: tuple[Resolution, ...] = Field(description="Empty unless it fits the domain")
+    resolutions: tuple[Resolution, ...] = Field(description="Empty unless the mesh can be used")
     warnings: tuple[str, ...]
 
 
@@ -74,6 +74,8 @@ def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 
     """
     topology = Topology(mesh.vertices, mesh.faces)
     fits = _fits(mesh, half_extent)
+    ambiguous = ambiguous_winding(mesh)
+    usable = fits and ambiguous <= AMBIGUOUS_LIMIT
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
@@ -91,11 +93,11 @@ def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 
         euler=topology.euler,
         open_edge_count=len(topology.open_edges),
         openings=topology.openings[:10],
-        ambiguous_winding=ambiguous_winding(mesh),
+        ambiguous_winding=ambiguous,
         volume=mesh.volume,
         bounds=(tuple(lower), tuple(upper)),
         fits_domain=fits,
-        resolutions=tuple(_resolution(mesh, n, frames) for n in POINTS_PER_CELL_EDGE if fits),
+        resolutions=tuple(_resolution(mesh, n, frames) for n in POINTS_PER_CELL_EDGE if usable),
         warnings=warnings,
     )
 
@@ -138,7 +140,7 @@ def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:
 def ambiguous_winding(mesh: Mesh) -> float:
     """Share of points whose winding number is no integer, among those that feel the mesh.
 
-    Measured on a lattice of about 50 000 points over the bounding box: the points with
+    Measured on a lattice of about 20 000 points over the bounding box: the points with
     |w - round(w)| > 1/4, divided by those with |w| > 1/4. It is 0 for closed surfaces, however
     they overlap, and grows with the size of the openings.
 

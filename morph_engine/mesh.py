@@ -56,7 +56,7 @@ class Mesh:
 def make_mesh(
     vertices: npt.ArrayLike, faces: npt.ArrayLike, *, name: str, sha256: str | None = None
 ) -> Mesh:
-    """Make a mesh from arrays: drop unused vertices and turn it right side out.
+    """Make a mesh from arrays, without unused vertices and repeated faces, and right side out.
 
     Args:
         vertices: Corner positions, shape [v, 3].
@@ -90,13 +90,17 @@ def make_mesh(
             f"{name} has coordinates beyond {COORDINATE_LIMIT:.0e}.",
             "Move it to the origin and scale it down.",
         )
+    repairs: tuple[str, ...] = ()
+    distinct = _distinct(points, triangles)
+    if len(distinct) < len(triangles):
+        repairs += (f"{len(triangles) - len(distinct)} repeated faces have been dropped.",)
+        triangles = triangles[distinct]
     volume = signed_volume(points, triangles)
     if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
         raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
-    repairs: tuple[str, ...] = ()
     if volume < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-        repairs = ("The surface was inside out and has been turned.",)
+        repairs += ("The surface was inside out and has been turned.",)
     digest = sha256 or hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()
     return Mesh(points, triangles, name, digest, repairs)
 
@@ -133,6 +137,17 @@ def load_mesh(path: str | Path) -> Mesh:
             "Check that the file is complete, or export the mesh again as OBJ, STL or GLB.",
         ) from error
     return make_mesh(vertices, faces, name=path.name, sha256=hashlib.sha256(data).hexdigest())
+
+
+def _distinct(
+    points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]
+) -> npt.NDArray[np.intp]:
+    """Ascending indices of the faces that repeat no earlier one, corner by corner."""
+    _, same = np.unique(points, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[triangles]
+    turn = corners.argmin(axis=1)[:, None] + np.arange(3)
+    _, first = np.unique(np.take_along_axis(corners, turn % 3, axis=1), axis=0, return_index=True)
+    return np.sort(first)
 
 
 def _read(path: Path) -> bytes:
