@@ -18,6 +18,7 @@ CELLS = 32  # per axis, of the grid that brings queries into a coherent order
 REACH = 1e18  # a coordinate beyond this counts as non-finite
 PARKED = 5e18  # where absent points wait: far away, yet at a finite squared distance
 NOTHING = 2e37  # squared distance above every possible match and below every parked point
+TINY = 1e-30  # keeps the search radius of a perfect match open
 NO_MATCH = 2**31 - 1
 SLACK = 1.0 + 1e-5  # a box is left out only beyond this, so that rounding never hides a match
 REACH_BITS = int(np.float32(REACH).view(np.int32))
@@ -31,6 +32,15 @@ def within_reach(point):
         bits = ti.bit_cast(ti.cast(point[axis], ti.f32), ti.i32) & 0x7FFFFFFF
         answer = answer and bits <= REACH_BITS
     return answer
+
+
+@ti.func
+def gap(lower, upper, along):
+    """Distance along one axis to an interval, 0 inside; comparisons vectorise, ti.max does not."""
+    below = lower - along
+    above = along - upper
+    outside = ti.select(below > above, below, above)
+    return ti.select(outside > 0.0, outside, 0.0)
 
 
 @ti.func
@@ -78,41 +88,43 @@ def fit_boxes(
 @ti.kernel
 def sort_by_cell(
     queries: ti.types.ndarray(),
-    lower: ti.types.ndarray(),
-    upper: ti.types.ndarray(),
+    bounds: ti.types.ndarray(),
     cell: ti.types.ndarray(),
     cell_end: ti.types.ndarray(),
     visit: ti.types.ndarray(),
 ):
-    """List the queries cell by cell, cells along a Morton curve; a counting sort.
-
-    The grid spans the indexed points and repeats beyond them.
-    """
-    for c in cell_end:
-        cell_end[c] = 0
+    """List the queries cell by cell, cells along a Morton curve: a counting sort."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        low = ti.Vector([PARKED, PARKED, PARKED])
+        high = -low
+        for i in range(queries.shape[0]):
+            if within_reach(queries[i]):
+                low = ti.min(low, queries[i])
+                high = ti.max(high, queries[i])
+        bounds[0] = low
+        bounds[1] = high - low
     for i in range(queries.shape[0]):
         code = 0
         if within_reach(queries[i]):
-            width = ti.max((upper[1] - lower[1]).max(), 1e-6)
-            position = (queries[i] - lower[1]) / width
-            for axis in ti.static(range(3)):
-                fraction = position[axis] - ti.floor(position[axis])
-                along = ti.min(ti.cast(fraction * CELLS, ti.i32), CELLS - 1)
-                for bit in ti.static(range(5)):
-                    code |= (along >> bit & 1) << (3 * bit + axis)
-        cell[i] = code
+            scale = (CELLS - 1) / ti.max(bounds[1].max(), 1e-6)
+            along = ti.cast((queries[i] - bounds[0]) * scale, ti.i32)
+            for axis, bit in ti.static(ti.ndrange(3, 5)):
+                code |= (along[axis] >> bit & 1) << (3 * bit + axis)
+        cell[i] = ti.max(0, ti.min(code, CELLS**3 - 1))
     ti.loop_config(serialize=True)
-    for i in range(queries.shape[0]):
-        cell_end[cell[i]] += 1
-    ti.loop_config(serialize=True)
-    for c in range(1, cell_end.shape[0]):
-        cell_end[c] += cell_end[c - 1]
-    ti.loop_config(serialize=True)
-    for k in range(queries.shape[0]):
-        i = queries.shape[0] - 1 - k
-        place = cell_end[cell[i]] - 1
-        cell_end[cell[i]] = place
-        visit[place] = i
+    for _ in range(1):
+        for c in range(CELLS**3):
+            cell_end[c] = 0
+        for i in range(queries.shape[0]):
+            cell_end[cell[i]] = cell_end[cell[i]] + 1  # += would be atomic, and slow
+        for c in range(1, CELLS**3):
+            cell_end[c] = cell_end[c] + cell_end[c - 1]
+        for k in range(queries.shape[0]):
+            i = queries.shape[0] - 1 - k
+            place = cell_end[cell[i]] - 1
+            cell_end[cell[i]] = place
+            visit[place] = i
 
 
 @ti.kernel
@@ -157,38 +169,41 @@ def search(
                             best[lane] = (points[candidate] - queries[i]).norm_sqr() * SLACK
         middle = ti.Vector([x.sum(), y.sum(), z.sum()]) / lanes
 
+        limit = best * SLACK + TINY
         node = 1
         trail = 1
         while node > 0:
             low = lower[node]
             high = upper[node]
-            gap_x = ti.max(low[0] - x, x - high[0], 0.0)
-            gap_y = ti.max(low[1] - y, y - high[1], 0.0)
-            gap_z = ti.max(low[2] - z, z - high[2], 0.0)
-            excess = gap_x * gap_x + gap_y * gap_y + gap_z * gap_z - best * SLACK
+            gap_x = gap(low[0], high[0], x)
+            gap_y = gap(low[1], high[1], y)
+            gap_z = gap(low[2], high[2], z)
+            excess = gap_x * gap_x + gap_y * gap_y + gap_z * gap_z - limit
             wanted = 0
             for lane in ti.static(range(lanes)):
                 wanted |= ti.cast(excess[lane] <= 0.0, ti.i32)
             if wanted != 0 and node < leaf_count:
-                left = ti.max(lower[2 * node] - middle, middle - upper[2 * node], 0.0)
-                right = ti.max(lower[2 * node + 1] - middle, middle - upper[2 * node + 1], 0.0)
+                left = gap(lower[2 * node], upper[2 * node], middle)
+                right = gap(lower[2 * node + 1], upper[2 * node + 1], middle)
                 node = 2 * node + ti.cast(right.norm_sqr() < left.norm_sqr(), ti.i32)
                 trail = 2 * trail + 1
             else:
                 if wanted != 0:
+                    near = limit
+                    nearest = ti.Vector([NO_MATCH] * lanes)
                     first = (node - leaf_count) * LEAF_SIZE
                     for slot in range(first, first + LEAF_SIZE):
-                        point = leaf_points[slot]
-                        source = order[slot]
-                        dx = x - point[0]
-                        dy = y - point[1]
-                        dz = z - point[2]
+                        dx = x - leaf_points[slot][0]
+                        dy = y - leaf_points[slot][1]
+                        dz = z - leaf_points[slot][2]
                         squared = dx * dx + dy * dy + dz * dz
-                        for lane in ti.static(range(lanes)):
-                            tie = (squared[lane] == best[lane]) & (source < match[lane])
-                            closer = (squared[lane] < best[lane]) | tie
-                            best[lane] = ti.select(closer, squared[lane], best[lane])
-                            match[lane] = ti.select(closer, source, match[lane])
+                        closer = squared < near
+                        near = ti.select(closer, squared, near)
+                        nearest = ti.select(closer, order[slot], nearest)
+                    tie = (near == best) & (nearest < match)
+                    match = ti.select((near < best) | tie, nearest, match)
+                    best = ti.select(near < best, near, best)
+                    limit = best * SLACK + TINY
                 while trail & 1 == 0:
                     trail >>= 1
                     node >>= 1
@@ -224,6 +239,7 @@ class NeighborIndex:
         self._leaf_points = ti.Vector.ndarray(3, real, slot_count)
         self._lower = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
         self._upper = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
+        self._bounds = ti.Vector.ndarray(3, real, 2)
         self._cell_end = ti.ndarray(ti.i32, CELLS**3)
         self._cell = self._visit = ti.ndarray(ti.i32, 1)
         self.rebuild(points)
@@ -256,7 +272,7 @@ class NeighborIndex:
         if self._visit.shape[0] != queries.shape[0]:
             self._cell = ti.ndarray(ti.i32, queries.shape[0])
             self._visit = ti.ndarray(ti.i32, queries.shape[0])
-        sort_by_cell(queries, self._lower, self._upper, self._cell, self._cell_end, self._visit)
+        sort_by_cell(queries, self._bounds, self._cell, self._cell_end, self._visit)
         search(
             LANES,
             guess is not None,
