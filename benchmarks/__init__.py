@@ -1,0 +1,1 @@
+"""Speed of the engine against peers measured in the same run: `python -m benchmarks`."""
