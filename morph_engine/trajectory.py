@@ -8,6 +8,7 @@ and is noticed.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +34,8 @@ _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 def write_result(spool: Spool, path: str | Path | None = None, *, status: Status) -> Path:
     """Assemble the result file of all finished frames; the spool stays as it is.
 
+    The file is assembled in memory, which takes 12 bytes per particle and frame.
+
     Args:
         spool: The run directory.
         path: The file to write or to replace; None means the spool's own result file.
@@ -45,12 +48,14 @@ def write_result(spool: Spool, path: str | Path | None = None, *, status: Status
         ResultError: A frame of the spool is damaged, or the disk refuses.
     """
     path = spool.result_path if path is None else Path(path)
+    image = io.BytesIO()  # HDF5 may crash the process where a disk is full, a Python file never
+    # older formats have no checksums in their structure, and VTK 9.7 cannot read the latest
+    with h5py.File(image, "w", libver=("v110", "v110")) as file:
+        _write_vtk(file.create_group("VTKHDF"), spool)
+        _write_morph(file.create_group("morph"), spool, status)
     try:
         with replacing(path) as temporary:
-            # VTK 9.7 cannot read what h5py's HDF5 2.0 writes as "latest"
-            with h5py.File(temporary, "w", libver=("earliest", "v108")) as file:
-                _write_vtk(file.create_group("VTKHDF"), spool)
-                _write_morph(file.create_group("morph"), spool, status)
+            temporary.write_bytes(image.getbuffer())
     except OSError as error:
         raise ResultError(
             f"Cannot write {path} ({error.strerror or error}).",
@@ -77,12 +82,12 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
         points[frame * particle_count : (frame + 1) * particle_count] = spool.positions(frame)
 
     shown = particle_count if frame_count else 0  # a run stopped in its first frame shows nothing
-    root["NumberOfPoints"] = np.array([shown])
+    _store(root, "NumberOfPoints", np.array([shown]))
     for kind in _CELLS:
         cell_count = shown if kind == "Vertices" else 0
         cells = root.create_group(kind)
-        cells["NumberOfCells"] = np.array([cell_count])
-        cells["NumberOfConnectivityIds"] = np.array([cell_count])
+        _store(cells, "NumberOfCells", np.array([cell_count]))
+        _store(cells, "NumberOfConnectivityIds", np.array([cell_count]))
         _store(cells, "Connectivity", np.arange(cell_count))
         _store(cells, "Offsets", np.arange(cell_count + 1))
 
@@ -90,12 +95,12 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
     same = np.zeros(frame_count, np.int64)
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = frame_count
-    steps["Values"] = frames.astype(np.float64)
-    steps["PartOffsets"] = same
-    steps["NumberOfParts"] = same + 1
-    steps["PointOffsets"] = frames * particle_count
-    steps["CellOffsets"] = np.zeros((frame_count, len(_CELLS)), np.int64)
-    steps["ConnectivityIdOffsets"] = np.zeros((frame_count, len(_CELLS)), np.int64)
+    _store(steps, "Values", frames.astype(np.float64))
+    _store(steps, "PartOffsets", same)
+    _store(steps, "NumberOfParts", same + 1)
+    _store(steps, "PointOffsets", frames * particle_count)
+    _store(steps, "CellOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
+    _store(steps, "ConnectivityIdOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
 
     fields = root.create_group("FieldData")
     offsets = steps.create_group("FieldDataOffsets")
@@ -103,16 +108,17 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
     table = [spool.metrics(frame) for frame in range(frame_count)]
     for name in dict.fromkeys(name for row in table for name in row):
         _store(fields, name, np.array([row.get(name, np.nan) for row in table], np.float64))
-        offsets[name] = frames
-        sizes[name] = np.ones((frame_count, 2), np.int64)  # components, tuples
+        _store(offsets, name, frames)
+        _store(sizes, name, np.ones((frame_count, 2), np.int64))  # components, tuples
 
 
 def _write_morph(root: h5py.Group, spool: Spool, status: Status) -> None:
     root.attrs["format"] = _FORMAT
-    root.attrs["status"] = status
+    _store_json(root, "status", status)
     _store_json(root, "events", spool.events)
+    run = root.create_group("run")
     for key, value in spool.run.document().items():
-        _store_json(root, key, value)
+        _store_json(run, key, value)
     arrays = root.create_group("arrays")
     for name, array in spool.run.arrays().items():
         _store(arrays, name, array)
@@ -125,7 +131,7 @@ def _store(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
 
 
 def _store_json(group: h5py.Group, name: str, value: Any) -> None:
-    """Store JSON as one string of fixed length, which unlike an attribute may be long."""
+    """Store JSON as one string of fixed length: those of variable length have no checksum."""
     text = json.dumps(value).encode()
     _store(group, name, np.array([text], h5py.string_dtype(length=len(text))))
 
@@ -168,7 +174,7 @@ class Trajectory:
             raise ResultError(
                 f"{self.path} was written by a newer version.", "Update chamfer-morph to read it."
             )
-        self.status: Status = morph.attrs["status"]
+        self.status: Status = _json(morph["status"])
         self.frame_count = int(vtk["Steps"].attrs["NSteps"])
         self._points = vtk["Points"]
         self.particle_count: int = self._points.chunks[0]
@@ -263,9 +269,7 @@ class Trajectory:
         """
         with _reading(self.path):
             morph = self._file["morph"]
-            document = {
-                name: _json(item) for name, item in morph.items() if isinstance(item, h5py.Dataset)
-            }
+            document = {name: _json(value) for name, value in morph["run"].items()}
             arrays = {name: array[:] for name, array in morph["arrays"].items()}
             return RunRecord.restore(document, arrays)
 
