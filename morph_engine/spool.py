@@ -30,7 +30,7 @@ from morph_engine.run_record import Json, RunRecord
 _RUN = "run.json"
 _ARRAYS = "run.npz"
 _CHECKPOINT = "checkpoint.npz"
-_JSON = "json"
+_JSON = "__json__"
 
 
 def spool_path(result_path: str | Path) -> Path:

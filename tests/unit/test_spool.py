@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 
@@ -146,9 +145,9 @@ def test_kill_leaves_a_spool_to_resume(tmp_path):
             if int(line) == 20:
                 with pytest.raises(ResultError, match="Another process"):
                     Spool.open(result)
-                os.kill(child.pid, signal.SIGKILL)
+                child.kill()
                 break
-    assert child.returncode == -signal.SIGKILL
+    assert child.returncode != 0
     with Spool.open(result) as spool:
         checkpoint = spool.load_checkpoint()
         assert 20 <= checkpoint.frame <= spool.frame_count - 1
