@@ -1,26 +1,31 @@
 """Exact nearest neighbours on the device: a balanced box tree whose boxes follow moving points.
 
-The points lie in the leaves of a complete binary tree, stored without pointers: node k has the
-children 2k and 2k + 1, its box holds all its points. On a CPU eight queries that are close in space
-descend together, so that every box and every point is compared with a full vector of queries.
+The points lie in the leaves of a complete binary tree stored without pointers: node k has the
+children 2k and 2k + 1, leaf l is node leaf_count + l, and the box of a node holds all its points.
+Moving points keep their leaves, only the boxes are fitted anew, so every answer stays exact.
+
+On a CPU, LANES queries close in space descend together: each box and each point is compared with
+all of them by vector instructions. On a GPU every thread follows one query.
 """
 
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import taichi as ti
+from numpy.typing import NDArray
+
+from morph_engine import backend
 
 LEAF_SIZE = 32
-LANES = 8  # queries that descend together on a CPU
-SUBTREES = 64  # refitted in parallel
-CELLS = 32  # per axis, of the grid that brings queries into a coherent order
+LANES = 8
+SUBTREES = 64  # whose boxes are fitted in parallel
+CELL_BITS = 5  # per axis, of the grid that brings queries into a coherent order
 REACH = 1e18  # a coordinate beyond this counts as non-finite
 PARKED = 5e18  # where absent points wait: far away, yet at a finite squared distance
 NOTHING = 2e37  # squared distance above every possible match and below every parked point
-TINY = 1e-30  # keeps the search radius of a perfect match open
 NO_MATCH = 2**31 - 1
 SLACK = 1.0 + 1e-5  # a box is left out only beyond this, so that rounding never hides a match
+TINY = 1e-30  # keeps the search radius around a perfect match open
 REACH_BITS = int(np.float32(REACH).view(np.int32))
 
 
@@ -36,7 +41,7 @@ def within_reach(point):
 
 @ti.func
 def gap(lower, upper, along):
-    """Distance along one axis to an interval, 0 inside; comparisons vectorise, ti.max does not."""
+    """Distance to an interval, 0 inside; ti.select compiles to fewer instructions than ti.max."""
     below = lower - along
     above = along - upper
     outside = ti.select(below > above, below, above)
@@ -44,22 +49,24 @@ def gap(lower, upper, along):
 
 
 @ti.func
-def fit_node(node, lower: ti.template(), upper: ti.template()):
-    """Fit the box of an inner node around those of its children."""
+def fit_inner_box(node, lower: ti.template(), upper: ti.template()):
+    """Fit the box of a node around those of its children."""
     lower[node] = ti.min(lower[2 * node], lower[2 * node + 1])
     upper[node] = ti.max(upper[2 * node], upper[2 * node + 1])
 
 
 @ti.kernel
 def fit_boxes(
+    leaf_count: int,
+    root_count: int,
     points: ti.types.ndarray(),
     order: ti.types.ndarray(),
     leaf_points: ti.types.ndarray(),
     lower: ti.types.ndarray(),
     upper: ti.types.ndarray(),
 ):
-    """Copy the points into their leaves and fit all boxes, from the leaves to the root."""
-    for leaf in range(lower.shape[0] // 2):
+    """Copy the points to their leaves and fit all boxes: leaves, `root_count` subtrees, the top."""
+    for leaf in range(leaf_count):
         low = ti.Vector([PARKED, PARKED, PARKED])
         high = -low
         for slot in range(leaf * LEAF_SIZE, (leaf + 1) * LEAF_SIZE):
@@ -71,29 +78,27 @@ def fit_boxes(
                     low = ti.min(low, point)
                     high = ti.max(high, point)
             leaf_points[slot] = point
-        lower[lower.shape[0] // 2 + leaf] = low
-        upper[lower.shape[0] // 2 + leaf] = high
-    for subtree in range(ti.min(lower.shape[0] // 2, SUBTREES)):
-        root = ti.min(lower.shape[0] // 2, SUBTREES) + subtree
-        width = lower.shape[0] // 4 // ti.min(lower.shape[0] // 2, SUBTREES)
+        lower[leaf_count + leaf] = low
+        upper[leaf_count + leaf] = high
+    for root in range(root_count, 2 * root_count):
+        width = leaf_count // root_count // 2
         while width > 0:
             for node in range(root * width, (root + 1) * width):
-                fit_node(node, lower, upper)
+                fit_inner_box(node, lower, upper)
             width //= 2
     ti.loop_config(serialize=True)
-    for k in range(1, ti.min(lower.shape[0] // 2, SUBTREES)):
-        fit_node(ti.min(lower.shape[0] // 2, SUBTREES) - k, lower, upper)
+    for k in range(1, root_count):
+        fit_inner_box(root_count - k, lower, upper)
 
 
 @ti.kernel
 def sort_by_cell(
     queries: ti.types.ndarray(),
-    bounds: ti.types.ndarray(),
     cell: ti.types.ndarray(),
     cell_end: ti.types.ndarray(),
     visit: ti.types.ndarray(),
 ):
-    """List the queries cell by cell, cells along a Morton curve: a counting sort."""
+    """List the queries cell by cell, the cells along a Morton curve: a counting sort, serial."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         low = ti.Vector([PARKED, PARKED, PARKED])
@@ -102,23 +107,19 @@ def sort_by_cell(
             if within_reach(queries[i]):
                 low = ti.min(low, queries[i])
                 high = ti.max(high, queries[i])
-        bounds[0] = low
-        bounds[1] = high - low
-    for i in range(queries.shape[0]):
-        code = 0
-        if within_reach(queries[i]):
-            scale = (CELLS - 1) / ti.max(bounds[1].max(), 1e-6)
-            along = ti.cast((queries[i] - bounds[0]) * scale, ti.i32)
-            for axis, bit in ti.static(ti.ndrange(3, 5)):
-                code |= (along[axis] >> bit & 1) << (3 * bit + axis)
-        cell[i] = ti.max(0, ti.min(code, CELLS**3 - 1))
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for c in range(CELLS**3):
+        scale = ((1 << CELL_BITS) - 1) / ti.max((high - low).max(), 1e-6)
+
+        for c in range(cell_end.shape[0]):
             cell_end[c] = 0
         for i in range(queries.shape[0]):
-            cell_end[cell[i]] = cell_end[cell[i]] + 1  # += would be atomic, and slow
-        for c in range(1, CELLS**3):
+            code = 0
+            if within_reach(queries[i]):
+                along = ti.cast((queries[i] - low) * scale, ti.i32)
+                for axis, bit in ti.static(ti.ndrange(3, CELL_BITS)):
+                    code |= (along[axis] >> bit & 1) << (3 * bit + axis)
+            cell[i] = code
+            cell_end[code] = cell_end[code] + 1  # += would be atomic, and slow
+        for c in range(1, cell_end.shape[0]):
             cell_end[c] = cell_end[c] + cell_end[c - 1]
         for k in range(queries.shape[0]):
             i = queries.shape[0] - 1 - k
@@ -127,14 +128,24 @@ def sort_by_cell(
             visit[place] = i
 
 
+@ti.func
+def query_at(place, lanes: ti.template(), visit: ti.template(), query_count):
+    """Index of the query at a place of the visiting order; the last one fills up the packet."""
+    i = ti.min(place, query_count - 1)
+    if ti.static(lanes > 1):
+        i = visit[i]
+    return i
+
+
 @ti.kernel
 def search(
     lanes: ti.template(),
     guided: ti.template(),
+    leaf_count: int,
     queries: ti.types.ndarray(),
     visit: ti.types.ndarray(),
     guess: ti.types.ndarray(),
-    points: ti.types.ndarray(),
+    leaf_of: ti.types.ndarray(),
     order: ti.types.ndarray(),
     leaf_points: ti.types.ndarray(),
     lower: ti.types.ndarray(),
@@ -144,34 +155,32 @@ def search(
 ):
     """Find the nearest point of every query: depth first, nearer child first, without a stack.
 
-    Bit k of `trail` tells that the sibling of the k-th ancestor is still to be visited; the root's
-    bit ends the search. Statements on `lanes`-vectors compile to vector instructions.
+    Bit k of `trail` tells that the sibling of the k-th ancestor is still to be visited; the bit of
+    the root ends the search. A guess starts it in a leaf, with all siblings still to be visited.
     """
     query_count = queries.shape[0]
-    leaf_count = lower.shape[0] // 2
     for packet in range((query_count + lanes - 1) // lanes):
         x = ti.Vector([0.0] * lanes)
         y = ti.Vector([0.0] * lanes)
         z = ti.Vector([0.0] * lanes)
-        best = ti.Vector([-1.0] * lanes)
+        best = ti.Vector([-1.0] * lanes)  # squared distance; a lane at -1 finds nothing
         match = ti.Vector([NO_MATCH] * lanes)
         for lane in ti.static(range(lanes)):
-            i = ti.min(packet * lanes + lane, query_count - 1)
-            if ti.static(lanes > 1):
-                i = visit[i]
-            if within_reach(queries[i]):
-                x[lane], y[lane], z[lane] = queries[i]
+            query = queries[query_at(packet * lanes + lane, lanes, visit, query_count)]
+            if within_reach(query):
+                x[lane], y[lane], z[lane] = query
                 best[lane] = NOTHING
-                if ti.static(guided):
-                    candidate = guess[i]
-                    if 0 <= candidate < points.shape[0]:
-                        if within_reach(points[candidate]):
-                            best[lane] = (points[candidate] - queries[i]).norm_sqr() * SLACK
         middle = ti.Vector([x.sum(), y.sum(), z.sum()]) / lanes
-
         limit = best * SLACK + TINY
+
         node = 1
         trail = 1
+        if ti.static(guided):
+            first_guess = guess[query_at(packet * lanes, lanes, visit, query_count)]
+            if 0 <= first_guess < leaf_of.shape[0]:
+                node = leaf_of[first_guess]
+                trail = 2 * leaf_count - 1
+
         while node > 0:
             low = lower[node]
             high = upper[node]
@@ -182,6 +191,7 @@ def search(
             wanted = 0
             for lane in ti.static(range(lanes)):
                 wanted |= ti.cast(excess[lane] <= 0.0, ti.i32)
+
             if wanted != 0 and node < leaf_count:
                 left = gap(lower[2 * node], upper[2 * node], middle)
                 right = gap(lower[2 * node + 1], upper[2 * node + 1], middle)
@@ -211,10 +221,8 @@ def search(
                 node ^= 1
 
         for lane in ti.static(range(lanes)):
-            i = packet * lanes + lane
-            if i < query_count:
-                if ti.static(lanes > 1):
-                    i = visit[i]
+            if packet * lanes + lane < query_count:
+                i = query_at(packet * lanes + lane, lanes, visit, query_count)
                 found = match[lane] != NO_MATCH
                 index_out[i] = match[lane] if found else -1
                 distance_out[i] = ti.sqrt(best[lane]) if found else ti.math.inf
@@ -223,63 +231,96 @@ def search(
 class NeighborIndex:
     """Exact nearest-neighbour search over a point set that may move.
 
-    The points are sorted once into the leaves of a balanced tree; when they move, only the boxes
-    of the tree are fitted anew, which keeps every answer exact.
-
     Args:
-        points: Point positions [dx], shape [n], 3-vectors of float32 or float64; n >= 1. Points
-            with a coordinate that is not finite (or beyond 1e18) are never found.
+        points: Point positions [dx], device array, shape [n, 3], n >= 1. A point with a coordinate
+            that is not finite (or beyond 1e18) is never found.
+        lanes: Queries that descend together; by default LANES on a CPU and 1 on a GPU.
     """
 
-    def __init__(self, points: Any) -> None:
-        self._leaf_count = 1 << (-(-points.shape[0] // LEAF_SIZE) - 1).bit_length()
-        slot_count = self._leaf_count * LEAF_SIZE
-        real = points.dtype
-        self._order = ti.ndarray(ti.i32, slot_count)
-        self._leaf_points = ti.Vector.ndarray(3, real, slot_count)
-        self._lower = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
-        self._upper = ti.Vector.ndarray(3, real, 2 * self._leaf_count)
-        self._bounds = ti.Vector.ndarray(3, real, 2)
-        self._cell_end = ti.ndarray(ti.i32, CELLS**3)
-        self._cell = self._visit = ti.ndarray(ti.i32, 1)
+    def __init__(self, points: Any, *, lanes: int | None = None) -> None:
+        device = backend.active()
+        self._lanes = lanes or (LANES if device.on_cpu else 1)
+        self._point_count: int = points.shape[0]
+        self._leaf_count = 1 << (-(-self._point_count // LEAF_SIZE) - 1).bit_length()
+        self._order = device.integers(self._leaf_count * LEAF_SIZE)
+        self._leaf_of = device.integers(self._point_count)
+        self._leaf_points = device.vectors(self._leaf_count * LEAF_SIZE)
+        self._lower = device.vectors(2 * self._leaf_count)
+        self._upper = device.vectors(2 * self._leaf_count)
+        self._cell_end = device.integers(1 << 3 * CELL_BITS)
+        self._cell = self._visit = device.integers(1)
         self.rebuild(points)
 
     def rebuild(self, points: Any) -> None:
-        """Sort the points into leaves anew; worth it after they moved by many spacings."""
-        self._order.from_numpy(leaf_order(points.to_numpy(), self._leaf_count))
+        """Sort the points into leaves anew, on the host; keeps searches fast after large motion.
+
+        Args:
+            points: Positions [dx], device array, shape [n, 3] as at the start.
+
+        Raises:
+            ValueError: The number of points differs.
+        """
+        self._require_point_count(points)
+        order = leaf_order(points.to_numpy(), self._leaf_count)
+        leaf_of = np.argsort(order, kind="stable")[: self._point_count] // LEAF_SIZE
+        self._order.from_numpy(order)
+        self._leaf_of.from_numpy((leaf_of + self._leaf_count).astype(np.int32))
         self.update(points)
 
     def update(self, points: Any) -> None:
         """Follow points that moved: fit all boxes to the new positions.
 
         Args:
-            points: New positions [dx], shape [n] as before, same dtype.
+            points: Positions [dx], device array, shape [n, 3] as at the start.
+
+        Raises:
+            ValueError: The number of points differs.
         """
-        self._points = points
-        fit_boxes(points, self._order, self._leaf_points, self._lower, self._upper)
+        self._require_point_count(points)
+        fit_boxes(
+            self._leaf_count,
+            min(self._leaf_count, SUBTREES),
+            points,
+            self._order,
+            self._leaf_points,
+            self._lower,
+            self._upper,
+        )
 
     def nearest(self, queries: Any, index_out: Any, distance_out: Any, guess: Any = None) -> None:
         """Find the nearest point of every query; of equally near ones that of lowest index.
 
         Args:
-            queries: Query positions [dx], shape [m], 3-vectors, dtype of the points.
-            index_out: Receives the index of the nearest point, shape [m], int32; -1 for a query
-                with a non-finite coordinate.
-            distance_out: Receives the distance [dx], shape [m], real; inf where the index is -1.
-            guess: Indices of likely near points, shape [m], int32, for instance the previous
-                answer; values out of range are ignored. May be `index_out` itself.
+            queries: Query positions [dx], device array, shape [m, 3], in any order.
+            index_out: Receives the index of the nearest point, int32 device array, shape [m]; -1
+                where there is none, as for a query with a coordinate that is not finite.
+            distance_out: Receives the distance [dx], real device array, shape [m]; inf where the
+                index is -1.
+            guess: Likely answers, such as the previous ones, int32 device array, shape [m]. They
+                speed up the search, whatever they hold. May be `index_out` itself.
+
+        Raises:
+            ValueError: The arrays differ in length.
         """
-        if self._visit.shape[0] != queries.shape[0]:
-            self._cell = ti.ndarray(ti.i32, queries.shape[0])
-            self._visit = ti.ndarray(ti.i32, queries.shape[0])
-        sort_by_cell(queries, self._bounds, self._cell, self._cell_end, self._visit)
+        count = queries.shape[0]
+        lengths = {
+            array.shape[0] for array in (index_out, distance_out, guess) if array is not None
+        }
+        if lengths != {count}:
+            raise ValueError(f"{count} queries, but arrays of length {sorted(lengths)}")
+        if self._lanes > 1:
+            if self._visit.shape[0] != count:
+                self._cell = backend.active().integers(count)
+                self._visit = backend.active().integers(count)
+            sort_by_cell(queries, self._cell, self._cell_end, self._visit)
         search(
-            LANES,
+            self._lanes,
             guess is not None,
+            self._leaf_count,
             queries,
             self._visit,
-            self._visit if guess is None else guess,
-            self._points,
+            index_out if guess is None else guess,
+            self._leaf_of,
             self._order,
             self._leaf_points,
             self._lower,
@@ -288,34 +329,37 @@ class NeighborIndex:
             distance_out,
         )
 
+    def _require_point_count(self, points: Any) -> None:
+        if points.shape[0] != self._point_count:
+            raise ValueError(f"{points.shape[0]} points for an index of {self._point_count}")
 
-def leaf_order(points: npt.NDArray[Any], leaf_count: int) -> npt.NDArray[np.int32]:
-    """Sort points into the leaves of a tree that halves its longest axis at every level.
+
+def leaf_order(points: NDArray[np.floating[Any]], leaf_count: int) -> NDArray[np.int32]:
+    """Sort points into the leaves of a tree that halves its boxes across their longest side.
 
     Args:
         points: Positions, shape [n, 3].
-        leaf_count: Number of leaves, a power of two; leaf_count * LEAF_SIZE >= n.
+        leaf_count: Number of leaves, a power of two, leaf_count * LEAF_SIZE >= n.
 
     Returns:
-        Index of the point in every leaf slot, NO_MATCH for an empty one, int32, shape
-        [leaf_count * LEAF_SIZE]. All leaves are full but the last ones.
+        Index of the point in every leaf slot, NO_MATCH in an empty one, ascending in each leaf,
+        shape [leaf_count * LEAF_SIZE]. All leaves are full but the last ones.
     """
-    slot_count = leaf_count * LEAF_SIZE
-    positions = np.full((slot_count, 3), np.nan)
-    positions[: len(points)] = points
-    positions[~(np.abs(positions) < REACH).all(axis=1)] = np.nan
+    count, slot_count = len(points), leaf_count * LEAF_SIZE
+    present = (np.abs(points) <= REACH).all(axis=1)
+    coordinates = np.full((3, slot_count), PARKED, dtype=np.float32)
+    coordinates[:, :count][:, present] = points[present].T
     order = np.arange(slot_count)
     size = slot_count
     while size > LEAF_SIZE:
-        cells = order.reshape(-1, size)
-        inside = positions[cells]
-        with np.errstate(all="ignore"):
-            low = np.fmin.reduce(inside, axis=1)
-            high = np.fmax.reduce(inside, axis=1)
-        axis = np.argmax(np.nan_to_num(high - low), axis=1)
-        along = np.take_along_axis(inside, axis[:, None, None], axis=2)[:, :, 0]
-        part = np.argpartition(along, size // 2, axis=1)
-        order = np.take_along_axis(cells, part, axis=1).reshape(-1)
+        used = -(-count // size)  # boxes before the first one without a point
+        boxes = coordinates[:, : used * size].reshape(3, used, size)
+        highest = np.where(boxes < PARKED, boxes, -PARKED).max(axis=2)
+        axis = np.argmax(highest - boxes.min(axis=2), axis=0)
+        halves = np.argpartition(boxes[axis, np.arange(used)], size // 2, axis=1)
+        slots = (halves + size * np.arange(used)[:, None]).reshape(-1)
+        coordinates[:, : slots.size] = coordinates[:, slots]
+        order[: slots.size] = order[slots]
         size //= 2
-    order = np.sort(order.reshape(-1, LEAF_SIZE), axis=1).reshape(-1)
-    return np.where(order < len(points), order, NO_MATCH).astype(np.int32)
+    order = np.where(order < count, order, NO_MATCH)
+    return np.sort(order.reshape(-1, LEAF_SIZE), axis=1).reshape(-1).astype(np.int32)
