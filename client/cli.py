@@ -6,12 +6,18 @@ Heavy modules are imported where they are used, so that `morph --help` answers a
 from __future__ import annotations
 
 import sys
-from typing import Annotated, Literal
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from client import interrupt
 from client.errors import BAD_INPUT, error_document, exit_status, print_json
 from morph_engine.errors import MorphError
+
+if TYPE_CHECKING:
+    from client.run import Summary
 
 app = typer.Typer(
     name="morph",
@@ -28,11 +34,16 @@ SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see mor
 FIT_HELP = "Scale to the usual volume, to touch the domain, or keep the file's coordinates."
 
 Fit = Literal["volume", "extent", "none"]
+DeviceOption = Annotated[
+    Literal["auto", "cpu", "cuda", "vulkan", "metal"], typer.Option(help="Where to compute.")
+]
+ThreadsOption = Annotated[int, typer.Option(min=0, help="CPU threads; 0 takes every core.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 def main() -> None:
-    """Entry point of the `morph` command."""
+    """Run the command that the arguments of the process name, and exit with its status."""
     arguments = sys.argv[1:]
     debug = "--debug" in arguments
     if debug:
@@ -58,6 +69,122 @@ def morph(
         typer.echo(f"chamfer-morph {version_of('chamfer-morph')}")
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+@app.command()
+def run(
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help=SHAPE_HELP)],
+    target: Annotated[str, typer.Argument(metavar="TARGET", help="What it is to become.")],
+    method: Annotated[str | None, typer.Option(help="See morph methods.")] = None,
+    preset: Annotated[str, typer.Option(help="See morph presets.")] = "fast",
+    frames: Annotated[int | None, typer.Option(help="Frames to compute.")] = None,
+    points_per_cell_edge: Annotated[
+        int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
+    ] = None,
+    fit: Annotated[Fit | None, typer.Option(help=FIT_HELP)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random choice.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Any setting; see morph presets fast."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Result file; SOURCE-to-TARGET.vtkhdf if not given.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished run.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a result.")] = False,
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = 0,
+    quiet: QuietOption = False,
+    as_json: AsJson = False,
+) -> None:
+    """Morph SOURCE into TARGET."""
+    from client.run import default_out, parse_overrides
+    from client.run import run as run_to_end
+    from morph_engine.morphing import prepare
+    from morph_engine.presets import configure
+
+    options = {
+        "method": method,
+        "frames": frames,
+        "seed": seed,
+        "sampling.points_per_cell_edge": points_per_cell_edge,
+        "sampling.fit": fit,
+    }
+    chosen = {path: value for path, value in options.items() if value is not None}
+    config = configure(preset, chosen | parse_overrides(settings or []))
+    summary = run_to_end(
+        prepare(source, target, config),
+        out or default_out(source, target),
+        device=device,
+        threads=threads,
+        resume=resume,
+        force=force,
+        quiet=quiet,
+        on_interrupt=partial(_finish, as_json=as_json),
+    )
+    _finish(summary, as_json=as_json)
+
+
+@app.command()
+def rerun(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result file.")],
+    out: Annotated[
+        Path | None, typer.Option(help="New result file; RESULT-rerun.vtkhdf if not given.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished run.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a result.")] = False,
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = 0,
+    quiet: QuietOption = False,
+    as_json: AsJson = False,
+) -> None:
+    """Repeat a run from its result file alone, and say how far the two end apart."""
+    from client.run import repeated, rerun_difference
+    from client.run import run as run_to_end
+
+    summary = run_to_end(
+        repeated(result),
+        out or result.with_name(f"{result.stem}-rerun.vtkhdf"),
+        device=device,
+        threads=threads,
+        resume=resume,
+        force=force,
+        quiet=quiet,
+        on_interrupt=partial(_finish, as_json=as_json),
+    )
+    difference = rerun_difference(result, summary)
+    _finish(summary, as_json=as_json, difference=difference)
+    if not as_json:
+        typer.echo(f"largest difference from {result}: {difference:.3g} grid units")
+
+
+def _finish(summary: Summary, *, as_json: bool, **more: float) -> None:
+    """Say what a run has come to."""
+    from client.display import print_summary
+
+    if as_json:
+        print_json(summary.document() | more)
+    elif summary.frames:
+        print_summary(summary.document())
+    sys.stdout.flush()
+    if summary.interrupted:
+        interrupt.say(
+            f"Stopped by Ctrl-C after {summary.frames} frames.",
+            "Continue with the same command and --resume.",
+        )
+
+
+@app.command()
+def methods(as_json: AsJson = False) -> None:
+    """List the methods."""
+    from client.display import print_table
+    from morph_engine import methods as known
+
+    rows = {name: known.find(name).summary() for name in known.names()}
+    if as_json:
+        print_json({"methods": rows})
+    else:
+        print_table(("method", "what it does"), rows.items())
 
 
 @app.command()
@@ -158,7 +285,3 @@ def metrics(
         print_json(measurement.document())
     else:
         print_metrics(measurement.values)
-
-
-if __name__ == "__main__":
-    main()

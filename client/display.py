@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from time import monotonic
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -16,11 +16,11 @@ from rich.text import Text
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
-    from morph_engine.morphing import Frame
     from pydantic.fields import FieldInfo
 
     from morph_engine.config import MorphConfig
     from morph_engine.ingest import IngestReport
+    from morph_engine.morphing import Frame
 
 _PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""
@@ -33,24 +33,22 @@ class RunDisplay:
 
     Args:
         frame_count: Frames of the whole run.
-        first_frame: Index of the first frame still to compute.
         quiet: Show nothing.
     """
 
-    def __init__(self, frame_count: int, *, first_frame: int = 0, quiet: bool = False) -> None:
+    def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
         self._console = Console(file=sys.stderr, quiet=quiet, highlight=False)
         self._frame_count = frame_count
-        self._first_frame = first_frame
-        self._started = monotonic()
+        self._recent: deque[float] = deque(maxlen=5)
         self._progress = Progress(
             TextColumn("{task.completed}/{task.total}"),
             BarColumn(),
             TextColumn("{task.description}"),
             console=self._console,
             transient=True,
-            disable=not self._console.is_terminal,
+            disable=quiet or not self._console.is_terminal,
         )
-        self._task = self._progress.add_task("preparing", total=frame_count, completed=first_frame)
+        self._task = self._progress.add_task("preparing", total=frame_count)
 
     def __enter__(self) -> RunDisplay:
         self._progress.start()
@@ -69,10 +67,11 @@ class RunDisplay:
         for event in frame.events:
             self._console.print(Text(event.message))
         done = frame.index + 1
-        left = (
-            (monotonic() - self._started) / (done - self._first_frame) * (self._frame_count - done)
-        )
-        text = f"{losses(frame.metrics)}  left {clock(left)}"
+        text = losses(frame.metrics)
+        if frame.seconds:  # 0 for the frames of a resumed run that were there already
+            self._recent.append(frame.seconds)
+            left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
+            text += f"  left {clock(left)}"
         if self._progress.disable:
             self._console.print(f"frame {frame.index}  {done}/{self._frame_count}  {text}")
         else:
@@ -188,6 +187,23 @@ def _allowed(field: FieldInfo) -> str:
         for bound in field.metadata
         for name, sign in signs.items()
         if hasattr(bound, name)
+    )
+
+
+HEADLINE = (
+    "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "many_to_one", "coverage",
+    "iou", "cover", "spill", "rho_p05", "rho_p95", "det_f_min", "det_f_max", "escaped",
+)  # fmt: skip
+"""The metrics a run ends with; the result file has all of them."""
+
+
+def print_summary(document: Mapping[str, Any]) -> None:
+    """The end of a run on standard output: headline metrics, what it cost, where it lies."""
+    print_metrics({name: document[name] for name in HEADLINE if name in document})
+    sys.stdout.write(
+        f"\n{document['frames']} frames of {document['particle_count']} particles in "
+        f"{clock(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
+        f"{size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
     )
 
 

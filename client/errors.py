@@ -13,7 +13,7 @@ import typer
 
 from morph_engine.errors import MorphError
 
-UNEXPECTED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+UNEXPECTED, BAD_INPUT = 1, 2
 
 
 def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool) -> int:
@@ -25,7 +25,7 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         debug: Let an unexpected exception through with its traceback.
 
     Returns:
-        0, or 2 for input a user can mend, 130 after Ctrl-C, 1 for a fault of the program.
+        0, or 2 for input a user can mend, 1 for a fault of the program.
     """
     try:
         return command() or 0
@@ -33,8 +33,6 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         problem, status = error, BAD_INPUT
     except typer.TyperException as error:
         problem, status = _usage(error), BAD_INPUT
-    except KeyboardInterrupt:
-        problem, status = MorphError("Stopped by Ctrl-C.", "Run the command again."), INTERRUPTED
     except BrokenPipeError:
         # whoever read our output has enough; keep the interpreter's last flush quiet
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -21,7 +21,6 @@ def fails_with(error):
     ("error", "status"),
     [
         (MeshError("It is flat.", "Give it a volume."), 2),
-        (KeyboardInterrupt(), 130),
         (MemoryError(), 2),
         (ZeroDivisionError("division by zero"), 1),
     ],

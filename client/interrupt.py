@@ -1,0 +1,65 @@
+"""Ctrl-C.
+
+An exception raised at a random instruction can vanish in the libraries at work there, or break
+them: a third of all KeyboardInterrupts during the start of a run did. So Ctrl-C never raises here.
+It ends the process at once, after what the command at work wants done first; that can rely on the
+run directory, which is whole at any instant.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+INTERRUPTED = 130
+
+Action = Callable[[], None]
+
+_SHOW_CURSOR = "\x1b[?25h"
+
+
+def _say_stopped() -> None:
+    say("Stopped by Ctrl-C.", "Run the command again.")
+
+
+_action: Action = _say_stopped
+
+
+def install() -> None:
+    """From now on Ctrl-C ends the process with exit status 130."""
+    signal.signal(signal.SIGINT, _stop)
+
+
+@contextmanager
+def at_interrupt(action: Action) -> Iterator[None]:
+    """Within, Ctrl-C does this before it ends the process."""
+    global _action
+    before, _action = _action, action
+    try:
+        yield
+    finally:
+        _action = before
+        install()
+
+
+def ignore() -> None:
+    """Let Ctrl-C wait, while a file is written that is nearly done."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def say(*lines: str) -> None:
+    """Write lines to standard error, whatever the interrupted code was writing there."""
+    cursor = _SHOW_CURSOR + "\r\n" if sys.stderr.isatty() else ""
+    os.write(2, (cursor + "".join(f"{line}\n" for line in lines)).encode())
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    ignore()
+    try:
+        _action()
+    finally:
+        os._exit(INTERRUPTED)
