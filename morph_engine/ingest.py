@@ -117,8 +117,8 @@ def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:
     lower, upper = mesh.bounds
     if not _fits(mesh, half_extent):
         raise MeshError(
-            f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, out of the domain of "
-            f"+-{half_extent:g} grid units.",
+            f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, beyond the domain, which "
+            f"ends at {half_extent:g} grid units from its centre.",
             "Fit it with --fit volume or --fit extent.",
         )
     if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
@@ -181,12 +181,9 @@ def _diagnosis(mesh: Mesh) -> str:
     if not openings:
         return "its faces intersect or repeat"
     largest = openings[0]
-    number = (
-        "the only opening" if len(openings) == 1 else f"the largest of {len(openings)} openings"
-    )
     return (
-        f"{number} or seam of reversed faces has {largest.edge_count} edges, centre "
-        f"{_text(largest.centre)} and size {_text(largest.size)}"
+        f"of {len(openings)} openings or seams of reversed faces the largest has "
+        f"{largest.edge_count} edges, centre {_text(largest.centre)} and size {_text(largest.size)}"
     )
 
 

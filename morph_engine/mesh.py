@@ -23,6 +23,9 @@ FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9
 
+AREA_LIMIT = 30.0
+"""Most surface area, in areas of the bounding box; a fine foam has 10, scrambled indices 1000."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -69,7 +72,7 @@ def make_mesh(
 
     Raises:
         MeshError: There are no faces, an index is out of range, a coordinate is not finite or
-            beyond 1e9, or the mesh has no volume.
+            beyond 1e9, the mesh has no volume, or its faces criss-cross the bounding box.
     """
     points = np.asarray(vertices, np.float64).reshape(-1, 3)
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
@@ -98,6 +101,13 @@ def make_mesh(
     volume = signed_volume(points, triangles)
     if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
         raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
+    area_ratio = _area_ratio(points, triangles)
+    if area_ratio > AREA_LIMIT:
+        raise MeshError(
+            f"The faces of {name} have {area_ratio:.0f} times the area of its bounding box, as if "
+            "their indices were scrambled.",
+            "Export the mesh again.",
+        )
     if volume < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
         repairs += ("The surface was inside out and has been turned.",)
@@ -148,6 +158,14 @@ def _distinct(
     turn = corners.argmin(axis=1)[:, None] + np.arange(3)
     _, first = np.unique(np.take_along_axis(corners, turn % 3, axis=1), axis=0, return_index=True)
     return np.sort(first)
+
+
+def _area_ratio(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> float:
+    """Area of the faces divided by that of the bounding box."""
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    width, height, depth = np.ptp(points, axis=0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    return float(area / (2 * (width * height + height * depth + depth * width)))
 
 
 def _read(path: Path) -> bytes:

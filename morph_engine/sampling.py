@@ -35,8 +35,8 @@ LATTICE_LIMIT = 50_000_000
 CHUNK = 1 << 20
 """Lattice points tested at once; bounds the memory of sampling to about 100 MB."""
 
-EDGES_PER_DIAGONAL = 20
-HALVING_LIMIT = 1_000_000
+EDGES_PER_DIAGONAL = 40
+HALVING_LIMIT = 400_000
 
 FAST_WINDING_ERROR = 0.02
 """Bound on the error of the fast winding number away from the surface."""

@@ -1,7 +1,7 @@
 """Built-in shapes, so that everything runs with no file at hand.
 
 Each has the volume of the paper's sphere (an icosphere of circumradius 7.25), so that any two of
-them hold nearly the same number of particles, and stands centred in the domain, y upwards.
+them hold nearly the same number of particles, and is centred in the domain, y upwards, facing z.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ def _teapot() -> Mesh:
     knob = [(1.4, 12.5), (1.5, 13.0), (1.1, 13.6)]
     body = _revolve([(0, 0), *bowl, *rim, (0, 9.8)])
     lid = _revolve([(0, 9.0), *dome, *knob, (0, 13.8)])
-    spout = _tube([(5.0, 3.2), (10.6, 2.8), (8.6, 8.4), (13.2, 9.6)], [2.4, 1.8, 1.25, 1.1, 1.2])
-    handle = _tube([(-5.4, 8.4), (-14.2, 10.2), (-13.2, 1.6), (-6.2, 2.8)], [1.1, 1.0, 1.0, 1.1])
+    spout = _tube([(5.0, 3.2), (10.6, 2.8), (8.6, 8.4), (12.9, 9.6)], [2.4, 1.8, 1.25, 1.1, 1.2])
+    handle = _tube([(-5.4, 8.4), (-13.9, 10.2), (-12.9, 1.6), (-6.2, 2.8)], [1.1, 1.0, 1.0, 1.1])
     return _join([body, lid, spout, handle])
 
 
@@ -216,7 +216,7 @@ def _text(text: str) -> Mesh:
     size = TEXT_SPAN / _span(outline)
     outline = scale(outline, size, size, origin=(0, 0))
     line = LINE_HEIGHT * size
-    depth = float(np.clip(REFERENCE_VOLUME / outline.area, line / 4, line))
+    depth = float(np.clip(REFERENCE_VOLUME / outline.area, line / 4, 0.8 * line))
     letters = [trimesh.creation.extrude_polygon(part, depth) for part in outline.geoms]
     return _join([make_mesh(part.vertices, part.faces, name=text) for part in letters])
 
