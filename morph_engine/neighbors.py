@@ -98,7 +98,10 @@ def sort_by_cell(
     cell_end: ti.types.ndarray(),
     visit: ti.types.ndarray(),
 ):
-    """List the queries cell by cell, the cells along a Morton curve: a counting sort, serial."""
+    """List the queries cell by cell: a counting sort, serial.
+
+    The cells follow a Morton curve in Gray order: one bit changes from a cell to the next.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         low = ti.Vector([PARKED, PARKED, PARKED])
@@ -117,6 +120,8 @@ def sort_by_cell(
                 along = ti.cast((queries[i] - low) * scale, ti.i32)
                 for axis, bit in ti.static(ti.ndrange(3, CELL_BITS)):
                     code |= (along[axis] >> bit & 1) << (3 * bit + axis)
+                for shift in ti.static((1, 2, 4, 8)):
+                    code ^= code >> shift
             cell[i] = code
             cell_end[code] = cell_end[code] + 1  # += would be atomic, and slow
         for c in range(1, cell_end.shape[0]):
@@ -252,7 +257,10 @@ class NeighborIndex:
         self.rebuild(points)
 
     def rebuild(self, points: Any) -> None:
-        """Sort the points into leaves anew, on the host; keeps searches fast after large motion.
+        """Sort the points into leaves anew, on the host.
+
+        Worth its cost, about that of four searches, when points have moved relative to their
+        neighbours by several spacings: after four, searches take nearly twice as long.
 
         Args:
             points: Positions [dx], device array, shape [n, 3] as at the start.
