@@ -73,9 +73,8 @@ def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 
         The report.
     """
     topology = Topology(mesh.vertices, mesh.faces)
-    fits = _fits(mesh, half_extent)
     ambiguous = ambiguous_winding(mesh)
-    usable = fits and ambiguous <= AMBIGUOUS_LIMIT
+    usable = _problem(mesh, ambiguous, half_extent) is None
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
@@ -96,7 +95,7 @@ def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 
         ambiguous_winding=ambiguous,
         volume=mesh.volume,
         bounds=(tuple(lower), tuple(upper)),
-        fits_domain=fits,
+        fits_domain=_fits(mesh, half_extent),
         resolutions=tuple(_resolution(mesh, n, frames) for n in POINTS_PER_CELL_EDGE if usable),
         warnings=warnings,
     )
@@ -114,27 +113,9 @@ def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:
             at 4 per cell edge, or more than 5 % of the points around it have an ambiguous winding
             number.
     """
-    lower, upper = mesh.bounds
-    if not _fits(mesh, half_extent):
-        raise MeshError(
-            f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, beyond the domain, which "
-            f"ends at {half_extent:g} grid units from its centre.",
-            "Fit it with --fit volume or --fit extent.",
-        )
-    if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
-        raise MeshError(
-            f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
-            f"than {MINIMUM_PARTICLES} particles.",
-            "Enlarge it with --fit volume or --fit extent.",
-        )
-    ambiguous = ambiguous_winding(mesh)
-    if ambiguous > AMBIGUOUS_LIMIT:
-        raise MeshError(
-            f"{ambiguous:.0%} of the points around {mesh.name} are neither inside nor outside: "
-            f"{_diagnosis(mesh)}.",
-            "Close the surface and make its normals agree in a mesh editor, "
-            "for instance with Fill Holes and Recalculate Outside in Blender.",
-        )
+    problem = _problem(mesh, ambiguous_winding(mesh), half_extent)
+    if problem:
+        raise problem
 
 
 def ambiguous_winding(mesh: Mesh) -> float:
@@ -159,6 +140,31 @@ def ambiguous_winding(mesh: Mesh) -> float:
     ambiguous = np.abs(winding - np.rint(winding)) > AMBIGUOUS_DISTANCE
     felt = np.abs(winding) > AMBIGUOUS_DISTANCE
     return float(ambiguous.sum() / max(felt.sum(), 1))
+
+
+def _problem(mesh: Mesh, ambiguous: float, half_extent: float) -> MeshError | None:
+    """Why a mesh cannot be used, if so."""
+    if not _fits(mesh, half_extent):
+        lower, upper = mesh.bounds
+        return MeshError(
+            f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, beyond the domain, which "
+            f"ends at {half_extent:g} grid units from its centre.",
+            "Fit it with --fit volume or --fit extent.",
+        )
+    if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
+        return MeshError(
+            f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
+            f"than {MINIMUM_PARTICLES} particles.",
+            "Enlarge it with --fit volume or --fit extent.",
+        )
+    if ambiguous > AMBIGUOUS_LIMIT:
+        return MeshError(
+            f"{ambiguous:.0%} of the points around {mesh.name} are neither inside nor outside: "
+            f"{_diagnosis(mesh)}.",
+            "Close the surface and make its normals agree in a mesh editor, "
+            "for instance with Fill Holes and Recalculate Outside in Blender.",
+        )
+    return None
 
 
 def _fits(mesh: Mesh, half_extent: float) -> bool:

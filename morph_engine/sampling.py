@@ -51,11 +51,15 @@ def winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
 
     Returns:
         Winding numbers, shape [n], float64, by libigl's fast tree approximation
-        (Barill et al., "Fast winding numbers for soups and clouds", 2018).
+        (Barill et al., "Fast winding numbers for soups and clouds", 2018). It works in float32
+        within, so the mesh is brought to unit size at the origin first.
     """
-    queries = np.ascontiguousarray(points, np.float64)
+    lower, upper = mesh.bounds
+    centre, size = (lower + upper) / 2, (upper - lower).max()
     vertices, faces = _without_long_edges(mesh)
-    return np.asarray(igl.fast_winding_number(vertices, faces, queries), np.float64)
+    queries = (np.asarray(points, np.float64) - centre) / size
+    winding = igl.fast_winding_number((vertices - centre) / size, faces, queries)
+    return np.asarray(winding, np.float64)
 
 
 def _without_long_edges(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int64]]:

@@ -166,7 +166,7 @@ def test_scrambled_indices():
     random = np.random.default_rng(0)
     with pytest.raises(MeshError, match="as if their indices were scrambled"):
         make_mesh(
-            random.normal(size=(500, 3)), random.integers(500, size=(500, 3)), name="scrambled"
+            random.uniform(size=(5000, 3)), random.integers(5000, size=(5000, 3)), name="scrambled"
         )
 
 

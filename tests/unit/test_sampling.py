@@ -50,6 +50,15 @@ def test_fast_winding_number_equals_the_exact_one(name):
     assert difference.max() < sampling.FAST_WINDING_ERROR
 
 
+@pytest.mark.parametrize(("size", "offset"), [(1e-14, 0.0), (1e7, 0.0), (1.0, 1e6)])
+def test_winding_number_at_any_size_and_place(size, offset):
+    """Tiny, huge and far meshes have an inside too; libigl alone does not end on the tiny one."""
+    mesh = make("star")
+    moved = make_mesh(mesh.vertices * size + offset, mesh.faces, name="moved")
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 9.0, 0.0], [9.0, 9.0, 0.0]])
+    np.testing.assert_allclose(winding_number(moved, points * size + offset), [1, 1, 0], atol=0.02)
+
+
 def test_inside_decides_doubtful_points_exactly(monkeypatch):
     """A point that the fast winding number puts on the wrong side is put right."""
     mesh = make("sphere")
