@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 import matplotlib
+import matplotlib.image
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
