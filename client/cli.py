@@ -285,3 +285,18 @@ def metrics(
         print_json(measurement.document())
     else:
         print_metrics(measurement.values)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def bench(context: typer.Context) -> None:
+    """Measure speed against peers on this machine; further arguments go to the benchmarks."""
+    import subprocess
+
+    root = Path(__file__).resolve().parents[1]
+    if not (root / "benchmarks").is_dir():
+        raise MorphError(
+            "The benchmarks are part of the source, not of the installed package.",
+            "Clone the project and run make bench there.",
+        )
+    command = [sys.executable, "-m", "benchmarks", *context.args]
+    raise typer.Exit(subprocess.run(command, cwd=root, check=False).returncode)
