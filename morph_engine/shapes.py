@@ -213,6 +213,8 @@ def _text(text: str) -> Mesh:
         for width in range(max(map(len, words)), len(text) + 1)
     }
     outline = min((_outline(lines) for lines in sorted(layouts)), key=_span)
+    if outline.is_empty:
+        raise MeshError("None of these characters leaves a mark.", "Write for instance text:Hello.")
     size = TEXT_SPAN / _span(outline)
     outline = scale(outline, size, size, origin=(0, 0))
     line = LINE_HEIGHT * size

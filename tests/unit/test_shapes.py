@@ -87,7 +87,7 @@ def test_text_is_read_from_the_front():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("text", ["", "   ", "x" * 61, "漢字"])
+@pytest.mark.parametrize("text", ["", "   ", "x" * 61, "漢字", "\u034f"])
 def test_text_that_cannot_be_drawn(text):
     """Empty, overlong and unknown letters are errors with a remedy."""
     with pytest.raises(MeshError) as caught:
