@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from morph_engine.errors import DeviceError
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-import taichi as ti  # noqa: E402
-from taichi.lang.misc import is_arch_supported  # noqa: E402
+import taichi as ti
+from taichi.lang.misc import is_arch_supported
 
 Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
 Precision = Literal["float32", "float64"]

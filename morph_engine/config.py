@@ -246,9 +246,7 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
         if path not in known:
             near = difflib.get_close_matches(path, known, 1, 0.0)
             near = [p for p in known if p.rsplit(".", 1)[-1] == path] or near
-            raise ConfigError(
-                f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?"
-            )
+            raise ConfigError(f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?")
         *sections, leaf = path.split(".")
         node = tree
         for section in sections:

@@ -260,4 +260,3 @@ class FrameControl:
 
 
 __all__ = ["FrameControl", "FrameReport", "Losses", "fault_names"]
-

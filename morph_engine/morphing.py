@@ -1,7 +1,7 @@
 """A morph from beginning to end: shapes to particles, frame after frame, to a result file.
 
-    for frame in morph("sphere", "star"):
-        print(frame.index, frame.metrics["two_sided"])
+for frame in morph("sphere", "star"):
+print(frame.index, frame.metrics["two_sided"])
 """
 
 from __future__ import annotations
@@ -140,9 +140,7 @@ def run(
     if out is None:
         yield from _frames(record, config, device, threads)
         return
-    spool = (
-        Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
-    )
+    spool = Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
     with spool:
         complete = False
         try:
@@ -154,9 +152,7 @@ def run(
         spool.remove()
 
 
-def check_resources(
-    record: RunRecord, config: MorphConfig, out: str | Path | None = None
-) -> None:
+def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | None = None) -> None:
     """Refuse a run that this machine cannot hold.
 
     Raises:
@@ -309,9 +305,7 @@ def _resolve(shape: Shape) -> Geometry:
     return shape
 
 
-def _points(
-    shape: Geometry, config: MorphConfig
-) -> tuple[NDArray[np.float32], Similarity]:
+def _points(shape: Geometry, config: MorphConfig) -> tuple[NDArray[np.float32], Similarity]:
     """Points of a shape in grid units, and the map from the user's coordinates."""
     if not isinstance(shape, Mesh):
         return _cloud(shape, config), Similarity()
@@ -343,8 +337,7 @@ def _check_domain(points: NDArray[Any], name: str, config: MorphConfig) -> None:
     reach = float(np.abs(points).max())
     if reach > config.domain:
         raise MeshError(
-            f"{name} reaches to {reach:.4g} grid units, beyond the domain of "
-            f"+-{config.domain:g}.",
+            f"{name} reaches to {reach:.4g} grid units, beyond the domain of +-{config.domain:g}.",
             "Fit it to the domain with --fit volume or --fit extent.",
         )
 

@@ -37,9 +37,7 @@ class Matches:
         """Match particles at x and target points anew; the last matches speed up the search."""
         self._target_index.nearest(x, self.forward, self.forward_distance, self.forward)
         self._particle_index.update(x)
-        self._particle_index.nearest(
-            self.target, self.reverse, self.reverse_distance, self.reverse
-        )
+        self._particle_index.nearest(self.target, self.reverse, self.reverse_distance, self.reverse)
 
     def rebuild(self, x: Any) -> None:
         """Sort the particles anew, after they moved far."""

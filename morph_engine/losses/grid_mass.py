@@ -88,9 +88,7 @@ class GridMassLoss:
     def gradient(self, x: Any, x_bar: Any, weight: float = 1.0) -> None:
         """Write weight * gradient at the x evaluated last to x_bar, shape [n, 3]."""
         factor = weight * self._mass.point_mass
-        _mass_to_grid_adjoint(
-            x, self._slope, x_bar, self._mass.point_count, factor, self._geometry
-        )
+        _mass_to_grid_adjoint(x, self._slope, x_bar, self._mass.point_count, factor, self._geometry)
 
 
 @ti.kernel
