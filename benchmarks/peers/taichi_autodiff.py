@@ -3,15 +3,12 @@
 A straightforward differentiable step: atomic scatter, one grid and one particle set per layer. Runs
 in whatever Taichi runtime the engine has started; an `AutodiffSweep` must not outlive it.
 
-Import this before Taichi starts: the loop over 64 nodes overflows the default stack of the reverse
-pass (a segmentation fault). Unrolling that loop instead compiles for minutes, and unrolling its
-last axis gives wrong gradients.
+No kernel here has a dynamic inner loop: through one, Taichi 1.7 returns wrong gradients without a
+word (and overflows its stack beyond 32 rounds). Unrolling the whole stencil compiles for minutes,
+so the parallel loop runs over (particle, i, j) and only k is unrolled.
 """
 
-import os
 from typing import Any
-
-os.environ["TI_AD_STACK_SIZE"] = "128"
 
 import numpy as np
 import taichi as ti
@@ -56,6 +53,7 @@ class AutodiffSweep:
             for a in [scene.layer] + step_count * [zero]
         ]
         self.U = [matrices(count, scene.U) for _ in range(step_count)]
+        self.B = [matrices(count, zero.C) for _ in range(step_count)]
         self.grids = [
             (
                 ti.ndarray(ti.math.vec3, shape, needs_grad=True),
@@ -67,16 +65,19 @@ class AutodiffSweep:
 
     def advance(self) -> None:
         """All steps forward, then the tape backward."""
-        for momentum, mass, _ in self.grids:
-            momentum.fill(0.0)
-            mass.fill(0.0)
-        self.loss.fill(0.0)
+        for array in (self.loss, *(a for grid in self.grids for a in grid)):
+            array.fill(0.0)
+        for _, v, C, _ in self.layers[1:]:
+            v.fill(0.0)
+            C.fill(0.0)
         with ti.ad.Tape(loss=self.loss):
             for k, (momentum, mass, velocity) in enumerate(self.grids):
-                x, v, C, F = self.layers[k]
-                particles_to_grid(x, v, C, F, self.U[k], self.volume, self.mass, momentum, mass)
+                (x, v, C, F), (x_next, v_next, C_next, F_next) = self.layers[k : k + 2]
+                affine_momentum(C, F, self.U[k], self.volume, self.mass, self.B[k])
+                particles_to_grid(x, v, self.B[k], self.mass, momentum, mass)
                 grid_velocity(momentum, mass, velocity)
-                grid_to_particles(x, F, self.U[k], velocity, *self.layers[k + 1])
+                grid_to_particles(x, velocity, v_next, C_next)
+                move(x, F, self.U[k], v_next, C_next, x_next, F_next)
             pulled(self.layers[-1][0], self.pull, self.loss)
 
     def result(self) -> Layer:
@@ -109,30 +110,39 @@ def cubic(d):
     return (outer**3 - 4.0 * inner**3) / 6.0
 
 
+@ti.func
+def base_of(u):
+    return ti.math.clamp(ti.floor(u, ti.i32) - 1, 0, NODES_PER_AXIS - 4)
+
+
+@ti.kernel
+def affine_momentum(
+    C: Matrices, F: Matrices, U: Matrices, volume: Scalars, mass: ti.f32, B: Matrices
+):
+    for p in C:
+        A = F[p] + U[p]
+        pressure = LAMBDA * ti.log(A.determinant()) - MU
+        tau = MU * A @ A.transpose() + pressure * ti.Matrix.identity(ti.f32, 3)
+        B[p] = mass * C[p] - INERTIA * DT * volume[p] * tau
+
+
 @ti.kernel
 def particles_to_grid(
     x: Vectors,
     v: Vectors,
-    C: Matrices,
-    F: Matrices,
-    U: Matrices,
-    volume: Scalars,
+    B: Matrices,
     mass: ti.f32,
     grid_momentum: GridVectors,
     grid_mass: GridScalars,
 ):
-    for p in x:
+    for p, i, j in ti.ndrange(x.shape[0], 4, 4):
         u = x[p] - GRID_MIN
-        base = ti.math.clamp(ti.floor(u, ti.i32) - 1, 0, NODES_PER_AXIS - 4)
-        A = F[p] + U[p]
-        pressure = LAMBDA * ti.log(A.determinant()) - MU
-        tau = MU * A @ A.transpose() + pressure * ti.Matrix.identity(ti.f32, 3)
-        B = mass * C[p] - INERTIA * DT * volume[p] * tau
-        for i, j, k in ti.ndrange(4, 4, 4):
+        base = base_of(u)
+        for k in ti.static(range(4)):
             node = base + ti.Vector([i, j, k])
             d = node - u
             weight = cubic(d[0]) * cubic(d[1]) * cubic(d[2])
-            grid_momentum[node] += weight * ((1 - DT * DRAG) * mass * v[p] + B @ d)
+            grid_momentum[node] += weight * ((1 - DT * DRAG) * mass * v[p] + B[p] @ d)
             grid_mass[node] += weight * mass
 
 
@@ -144,32 +154,36 @@ def grid_velocity(momentum: GridVectors, mass: GridScalars, velocity: GridVector
 
 
 @ti.kernel
-def grid_to_particles(
-    x: Vectors,
-    F: Matrices,
-    U: Matrices,
-    grid: GridVectors,
-    x_next: Vectors,
-    v_next: Vectors,
-    C_next: Matrices,
-    F_next: Matrices,
-):
-    for p in x:
+def grid_to_particles(x: Vectors, grid: GridVectors, v_next: Vectors, C_next: Matrices):
+    for p, i, j in ti.ndrange(x.shape[0], 4, 4):
         u = x[p] - GRID_MIN
-        base = ti.math.clamp(ti.floor(u, ti.i32) - 1, 0, NODES_PER_AXIS - 4)
+        base = base_of(u)
         v = ti.Vector.zero(ti.f32, 3)
         C = ti.Matrix.zero(ti.f32, 3, 3)
-        for i, j, k in ti.ndrange(4, 4, 4):
+        for k in ti.static(range(4)):
             node = base + ti.Vector([i, j, k])
             d = node - u
             share = cubic(d[0]) * cubic(d[1]) * cubic(d[2]) * grid[node]
             v += share
             C += INERTIA * share.outer_product(d)
+        v_next[p] += v
+        C_next[p] += C
+
+
+@ti.kernel
+def move(
+    x: Vectors,
+    F: Matrices,
+    U: Matrices,
+    v_next: Vectors,
+    C_next: Matrices,
+    x_next: Vectors,
+    F_next: Matrices,
+):
+    for p in x:
         A = F[p] + U[p]
-        x_next[p] = x[p] + DT * v
-        v_next[p] = v
-        C_next[p] = C
-        F_next[p] = (1 - SMOOTHING) * (A + DT * C @ A) + SMOOTHING * F[p]
+        x_next[p] = x[p] + DT * v_next[p]
+        F_next[p] = (1 - SMOOTHING) * (A + DT * C_next[p] @ A) + SMOOTHING * F[p]
 
 
 @ti.kernel

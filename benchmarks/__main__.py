@@ -1,0 +1,67 @@
+"""Print the table of the bar: `python -m benchmarks [--quick] [--json] [group ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+from benchmarks import groups
+from benchmarks.rows import Row, failed, table
+
+
+def main() -> None:
+    """Measure the chosen groups, each in a process of its own, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("groups", nargs="*", metavar="group", help=", ".join(groups.MODULES))
+    parser.add_argument("--quick", action="store_true", help="fewer repeats, no whole job")
+    parser.add_argument("--json", action="store_true", help="one JSON document instead")
+    options = parser.parse_args()
+    unknown = set(options.groups) - set(groups.MODULES)
+    if unknown:
+        parser.error(
+            f"no group {', '.join(sorted(unknown))}; there are {', '.join(groups.MODULES)}"
+        )
+
+    rows = []
+    for group in options.groups or groups.MODULES:
+        sys.stderr.write(f"measuring {group} ...\n")
+        rows += measured(group, options.quick)
+    if options.json:
+        document = {"machine": machine(), "rows": [row.document() for row in rows]}
+        sys.stdout.write(json.dumps(document, indent=2) + "\n")
+    else:
+        sys.stdout.write(f"{machine()}\n\n{table(rows)}\n")
+    sys.exit(any(row.verdict == "FAILED" for row in rows))
+
+
+def measured(group: str, quick: bool) -> list[Row]:
+    """Rows of a group, from a fresh process that shares no runtime with the others."""
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(groups.measure, group, quick).result()
+    except Exception as error:  # a crash of one group must not hide the others
+        return [failed(group, f"{type(error).__name__}: {error}")]
+
+
+def machine() -> str:
+    """Where this runs, and how busy it was."""
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return f"{processor()}, {os.cpu_count()} cores, load {load}, Python {platform.python_version()}"
+
+
+def processor() -> str:
+    """Name of the processor."""
+    try:
+        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
+            return next(line.split(":")[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Rows on the backward step: its cost beside the forward step, and beside autodiff."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.agreement import require_agreement, require_equal_gradients
+from benchmarks.ours import EngineStep
+from benchmarks.peers.taichi_autodiff import AutodiffSweep
+from benchmarks.rows import Row, limit, speedup
+from benchmarks.scene import SEED, ball
+from benchmarks.timing import in_turns
+
+STEP_COUNT = 2
+
+
+def measure(quick: bool) -> list[Row]:
+    """Measure the cost of the adjoint."""
+    return [backward_to_forward(7 if quick else 21), against_autodiff(2 if quick else 5)]
+
+
+def backward_to_forward(repeats: int) -> Row:
+    """Cost of a backward step in forward steps."""
+    scene = ball()
+    ours = EngineStep(scene, STEP_COUNT)
+    gradient = random_pull(scene.particle_count)
+    costs = in_turns(
+        {"forward": ours.advance, "backward": ours.sweep_back},
+        repeats,
+        before_each=lambda: ours.pull(gradient),
+    )
+    forward, backward = (
+        1e9 * costs[name].cpu / scene.particle_count / STEP_COUNT
+        for name in ("forward", "backward")
+    )
+    return limit(
+        "backward step / forward step",
+        backward,
+        "CPU ns/particle",
+        2.2,
+        1.5,
+        relative_to=forward,
+    )
+
+
+def against_autodiff(repeats: int) -> Row:
+    """Forward and backward through a few steps, ours and Taichi's tape."""
+    scene = ball()
+    gradient = random_pull(scene.particle_count)
+    ours, peer = EngineStep(scene, STEP_COUNT), AutodiffSweep(scene, gradient, STEP_COUNT)
+
+    def there_and_back() -> None:
+        ours.advance()
+        ours.pull(gradient)
+        ours.sweep_back()
+
+    there_and_back()
+    peer.advance()
+    require_agreement(peer.name, peer.result(), ours.result())
+    require_equal_gradients(peer.name, peer.control_gradients(), ours.control_gradients())
+
+    costs = in_turns({"ours": there_and_back, "peer": peer.advance}, repeats)
+    nanoseconds = {n: 1e9 * c.cpu / scene.particle_count / STEP_COUNT for n, c in costs.items()}
+    return speedup(
+        "forward + backward vs Taichi autodiff",
+        nanoseconds["ours"],
+        nanoseconds["peer"],
+        "CPU ns/particle",
+        20.0,
+        40.0,
+        f"{scene.particle_count} particles, {STEP_COUNT} steps; "
+        f"wall ms {1e3 * costs['ours'].wall:.1f} and {1e3 * costs['peer'].wall:.1f}",
+    )
+
+
+def random_pull(particle_count: int) -> np.ndarray:
+    """A gradient on the last positions, float32, shape [particle_count, 3]."""
+    return np.random.default_rng(SEED).normal(size=(particle_count, 3)).astype(np.float32)

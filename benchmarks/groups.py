@@ -1,0 +1,22 @@
+"""The groups of rows, in the order of the table."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from benchmarks.rows import Row
+
+MODULES = {
+    "forward": "forward",
+    "adjoint": "adjoint",
+    "neighbors": "bench_neighbors",
+    "frames": "frames",
+    "product": "product",
+    "scaling": "scaling",
+}
+
+
+def measure(group: str, quick: bool) -> list[Row]:
+    """Measure the rows of a group; each group's module has a function of this name."""
+    rows: list[Row] = import_module(f"benchmarks.{MODULES[group]}").measure(quick)
+    return rows

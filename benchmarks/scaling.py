@@ -1,0 +1,48 @@
+"""Row on scaling: cost per particle of a step and its adjoint over the number of particles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.adjoint import random_pull
+from benchmarks.ours import EngineStep
+from benchmarks.rows import Row, limit
+from benchmarks.scene import ball
+from benchmarks.timing import in_turns
+
+POINTS_PER_CELL_EDGE = (2, 3, 4, 5, 6)
+
+
+def measure(quick: bool) -> list[Row]:
+    """Compare the dearest particle with the cheapest, from 11 to 301 thousand particles."""
+    counts, actions = {}, {}
+    for points in POINTS_PER_CELL_EDGE:
+        scene = ball(points)
+        name = f"{scene.particle_count / 1000:.0f}k"
+        counts[name] = scene.particle_count
+        actions[name] = there_and_back(EngineStep(scene), scene.particle_count)
+    costs = in_turns(actions, 3 if quick else 11)
+    nanoseconds = {name: 1e9 * costs[name].cpu / count for name, count in counts.items()}
+    return [
+        limit(
+            "cost per particle, 11k to 301k particles, dearest / cheapest",
+            max(nanoseconds.values()),
+            "CPU ns/particle",
+            1.3,
+            1.1,
+            ", ".join(f"{name} {value:.0f}" for name, value in nanoseconds.items()),
+            relative_to=min(nanoseconds.values()),
+        )
+    ]
+
+
+def there_and_back(engine: EngineStep, particle_count: int) -> Callable[[], None]:
+    """One step forward and back."""
+    gradient = random_pull(particle_count)
+
+    def action() -> None:
+        engine.advance()
+        engine.pull(gradient)
+        engine.sweep_back()
+
+    return action
