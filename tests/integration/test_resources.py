@@ -1,0 +1,42 @@
+"""Memory and disk are asked for before a run starts, not found missing in the middle of it."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from morph_engine import morphing
+from morph_engine.errors import ResourceError
+from morph_engine.presets import configure
+
+CONFIG = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 40})
+
+
+@pytest.fixture(scope="module")
+def record():
+    """A small run that any machine can hold."""
+    return morphing.prepare("sphere", "star", CONFIG)
+
+
+def test_a_run_that_fits_is_let_through(record, tmp_path):
+    """No complaint where there is memory and disk."""
+    morphing.check_resources(record, CONFIG, tmp_path / "result.vtkhdf")
+
+
+def test_too_little_memory_is_refused_before_the_run(record, monkeypatch, tmp_path):
+    """The message says how much is needed, how much is free, and which option to lower."""
+    monkeypatch.setattr(
+        morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=10_000_000)
+    )
+    out = tmp_path / "result.vtkhdf"
+    with pytest.raises(ResourceError, match=r"10 MB are free.*--points-per-cell-edge"):
+        next(iter(morphing.run(record, out=out)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path):
+    """The message says how much is needed, how much is free, and what to change."""
+    monkeypatch.setattr(morphing.psutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
+    out = tmp_path / "result.vtkhdf"
+    with pytest.raises(ResourceError, match=r"1 MB are free.*--out"):
+        next(iter(morphing.run(record, out=out)))
+    assert list(tmp_path.iterdir()) == []
