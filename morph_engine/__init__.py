@@ -1,9 +1,9 @@
 """Morph one 3D shape into another by physics, and measure honestly how well.
 
-    from morph_engine import configure, morph
+from morph_engine import configure, morph
 
-    for frame in morph("sphere", "star", configure("fast", {"frames": 20})):
-        print(frame.index, frame.metrics["two_sided"])
+for frame in morph("sphere", "star", configure("fast", {"frames": 20})):
+print(frame.index, frame.metrics["two_sided"])
 """
 
 from __future__ import annotations

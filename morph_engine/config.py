@@ -191,7 +191,9 @@ class MorphConfig(_Section):
     preset: str = Field("custom", description="Name and version of the preset it started from.")
     method: str = Field("joint", description="Registered method, see `morph methods`.")
     frames: int = Field(40, ge=1, le=10000)
-    seed: int = Field(42, ge=0, description="Seed of every random choice, the jitter's included.")
+    seed: int = Field(
+        42, ge=0, lt=2**32, description="Seed of every random choice, the jitter's included."
+    )
     precision: Literal["float32", "float64"] = "float32"
     f1_tau: Positive = Field(0.2, description="Threshold of F1 [grid units].")
     grid: GridConfig = GridConfig()
@@ -251,7 +253,9 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
         node = tree
         for section in sections:
             node = node[section]
-        node[leaf] = _parsed(value)
+        parsed = _parsed(value)
+        is_series = isinstance(node[leaf], tuple) and not isinstance(parsed, tuple)
+        node[leaf] = (parsed,) if is_series else parsed
     return validated(tree)
 
 

@@ -23,12 +23,19 @@ from morph_engine.cost import estimate
 from morph_engine.errors import MeshError, ResourceError
 from morph_engine.events import Event
 from morph_engine.fill import fill_metrics, outside_metrics
+from morph_engine.ingest import check_mesh
 from morph_engine.mesh import Mesh
 from morph_engine.methods import FrameOutcome, Problem
 from morph_engine.metrics import chamfer_metrics, deformation_metrics
 from morph_engine.presets import configure
 from morph_engine.run_record import Geometry, RunRecord
-from morph_engine.sampling import Similarity, fit_to_domain, sample_lattice
+from morph_engine.sampling import (
+    MINIMUM_PARTICLES,
+    Jitter,
+    Similarity,
+    fit_to_domain,
+    sample_lattice,
+)
 from morph_engine.shapes import resolve_shape
 from morph_engine.spool import Spool
 from morph_engine.trajectory import write_result
@@ -37,7 +44,6 @@ Shape = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
 
 MEGABYTE = 1e6
-FEWEST_POINTS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,9 +316,9 @@ def _points(shape: Geometry, config: MorphConfig) -> tuple[NDArray[np.float32], 
     if not isinstance(shape, Mesh):
         return _cloud(shape, config), Similarity()
     mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
-    _check_domain(mesh.vertices, mesh.name, config)
-    jitter = "published" if config.sampling.lattice == "published" else "none"
-    points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter)
+    check_mesh(mesh, half_extent=config.domain)
+    jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
+    points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
     return points, similarity
 
 
@@ -324,22 +330,19 @@ def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
         )
     if not np.isfinite(cloud).all():
         raise MeshError("The point cloud holds non-finite coordinates.", "Remove those points.")
-    if len(cloud) < FEWEST_POINTS:
+    if len(cloud) < MINIMUM_PARTICLES:
         raise MeshError(
-            f"The point cloud has {len(cloud)} points, fewer than {FEWEST_POINTS}.",
+            f"The point cloud has {len(cloud)} points, fewer than {MINIMUM_PARTICLES}.",
             "Sample it more densely.",
         )
-    _check_domain(cloud, "The point cloud", config)
-    return cloud
-
-
-def _check_domain(points: NDArray[Any], name: str, config: MorphConfig) -> None:
-    reach = float(np.abs(points).max())
+    reach = float(np.abs(cloud).max())
     if reach > config.domain:
         raise MeshError(
-            f"{name} reaches to {reach:.4g} grid units, beyond the domain of +-{config.domain:g}.",
-            "Fit it to the domain with --fit volume or --fit extent.",
+            f"The point cloud reaches to {reach:.4g} grid units, beyond the domain of "
+            f"+-{config.domain:g}.",
+            "Scale and centre it to fit.",
         )
+    return cloud
 
 
 def _matrix(similarity: Similarity) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ FIT_HALF_EXTENT = 13.0
 REFERENCE_VOLUME = 1394.26
 """Volume [grid units^3] of the paper's sphere, which `fit_to_domain` gives to other meshes."""
 
+PUBLISHED_SEED = 42
 MINIMUM_PARTICLES = 500
 """Fewer particles than this describe no shape."""
 
@@ -109,6 +110,7 @@ def sample_lattice(
     *,
     spacing: float,
     jitter: Jitter = "published",
+    seed: int = PUBLISHED_SEED,
     minimum_count: int = MINIMUM_PARTICLES,
 ) -> npt.NDArray[np.float32]:
     """Fill a mesh with a cubic lattice of particles (algorithm 1.2).
@@ -121,6 +123,7 @@ def sample_lattice(
         mesh: Mesh in grid units.
         spacing: Distance of neighbouring lattice points [grid units].
         jitter: `published` or `none`.
+        seed: Seed of the jitter; the published counts need the default.
         minimum_count: Fewest particles to accept.
 
     Returns:
@@ -135,8 +138,12 @@ def sample_lattice(
             f"{mesh.name} needs a lattice of more than {LATTICE_LIMIT:,} points.",
             "Fit it to the domain with --fit volume or --fit extent.",
         )
-    lattice = _published_lattice if jitter == "published" else _even_lattice
-    positions = np.concatenate([p[inside(mesh, p)] for p in lattice(mesh, spacing)])
+    lattice = (
+        _published_lattice(mesh, spacing, seed)
+        if jitter == "published"
+        else _even_lattice(mesh, spacing)
+    )
+    positions = np.concatenate([p[inside(mesh, p)] for p in lattice])
     if len(positions) < minimum_count:
         raise MeshError(
             f"{mesh.name} holds only {len(positions)} particles at a spacing of {spacing:.4g} "
@@ -146,7 +153,7 @@ def sample_lattice(
     return positions
 
 
-def _published_lattice(mesh: Mesh, spacing: float) -> Iterator[npt.NDArray[np.float32]]:
+def _published_lattice(mesh: Mesh, spacing: float, seed: int) -> Iterator[npt.NDArray[np.float32]]:
     """Lattice of the authors' program in its own float32 arithmetic, a chunk at a time.
 
     One 32-bit Mersenne twister draw per coordinate; their compiler (GCC) evaluates the three
@@ -156,7 +163,7 @@ def _published_lattice(mesh: Mesh, spacing: float) -> Iterator[npt.NDArray[np.fl
     reach = np.float32(0.1) * step
     lower, upper = mesh.bounds.astype(np.float32)
     shape = np.ceil((upper - lower) / step).astype(int) + 1
-    twister = np.random.RandomState(42)
+    twister = np.random.RandomState(seed)
     for index in _lattice_indices(shape):
         draws = twister.randint(0, 1 << 32, index.shape, np.uint32).astype(np.float32)
         unit = draws * np.float32(2.0**-32)

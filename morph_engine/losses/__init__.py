@@ -1,0 +1,1 @@
+"""Losses: what a morph minimises, each with its gradient."""

@@ -27,7 +27,8 @@ def restrict_to_cells(
     Args:
         matches: Exact matches; changed in place where the two differ.
         x: Particle positions [dx], device array, shape [n, 3].
-        forward, reverse: Exact distances [dx], shapes [n] and [m].
+        forward: Exact distances particle -> target [dx], shape [n].
+        reverse: Exact distances target -> particle [dx], shape [m].
         geometry: Background grid.
 
     Returns:

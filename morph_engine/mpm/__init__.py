@@ -1,0 +1,1 @@
+"""Differentiable Material Point Method."""

@@ -62,7 +62,7 @@ class Simulation:
         physics: Material and time step; `dt` may be changed between frames.
         transitions: Time steps per frame, each with its own control.
         domain: Particles outside [-domain, domain]^3 count as a fault [dx].
-        largest_cells_per_step: A particle that moves more than this many cells in a step is a fault.
+        largest_cells_per_step: A particle that moves farther in a step is a fault [cells].
         adjoint: Which adjoint to use.
     """
 
@@ -168,5 +168,13 @@ class GridScratch:
         self.planes = device.integer_pairs(self.chunk_count if device.on_cpu else 1)
 
 
-__all__ = ["EXACT", "FIXED_COROTATED", "NEO_HOOKEAN", "PUBLISHED", "AdjointFlags", "Physics",
-           "Simulation", "GridScratch"]
+__all__ = [
+    "EXACT",
+    "FIXED_COROTATED",
+    "NEO_HOOKEAN",
+    "PUBLISHED",
+    "AdjointFlags",
+    "GridScratch",
+    "Physics",
+    "Simulation",
+]
