@@ -152,6 +152,7 @@ class OptimizerConfig(_Section):
     )
     passes: Count = Field(3, description="Passes over the control layers per frame.")
     step: Positive = Field(0.01, description="alpha_0, first trial step of the line search.")
+    step_decay: float = Field(1.0, gt=0, le=1, description="Factor on the step, pass by pass.")
     line_search_trials: int = Field(5, ge=1, le=30)
     line_search_factor: float = Field(0.5, gt=0, lt=1)
     target_norm: Positive = Field(2500.0, description="Gradient norm above which steps shrink.")

@@ -184,7 +184,7 @@ class FrameControl:
         norms = norms or self._norms(group)
         objective = self._objective(before, chamfer_weight)
         for trial in range(optimizer.line_search_trials):
-            factor = optimizer.line_search_factor**trial
+            factor = optimizer.step_decay**pass_index * optimizer.line_search_factor**trial
             for layer, norm in zip(group, norms, strict=True):
                 scale = optimizer.target_norm / max(norm, 1e-6)
                 alpha = optimizer.step * min(max(scale, optimizer.smallest_scale), 1.0)

@@ -153,7 +153,9 @@ def sample_lattice(
     return positions
 
 
-def _published_lattice(mesh: Mesh, spacing: float, seed: int) -> Iterator[npt.NDArray[np.float32]]:
+def _published_lattice(
+    mesh: Mesh, spacing: float, seed: int = PUBLISHED_SEED
+) -> Iterator[npt.NDArray[np.float32]]:
     """Lattice of the authors' program in its own float32 arithmetic, a chunk at a time.
 
     One 32-bit Mersenne twister draw per coordinate; their compiler (GCC) evaluates the three
