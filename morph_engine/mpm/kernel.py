@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import taichi as ti
 
 PADDING = 2
+LARGEST_INDEX = 2**27 - 1  # of a node, all private grids together
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,7 @@ def slopes(offset: float, width: ti.template()):
     if ti.static(width == 4):
         f = offset - 1.0
         o = 1.0 - f
-        result = ti.Vector(
-            [-0.5 * o * o, f * (1.5 * f - 2), -o * (1.5 * o - 2), 0.5 * f * f]
-        )
+        result = ti.Vector([-0.5 * o * o, f * (1.5 * f - 2), -o * (1.5 * o - 2), 0.5 * f * f])
     else:
         f = offset - 1.0
         result = ti.Vector([f - 0.5, -2 * f, f + 0.5])
@@ -108,20 +107,107 @@ def slopes(offset: float, width: ti.template()):
 
 
 @ti.func
-def weight_and_slope(distance: float, width: ti.template()):
-    """B-spline weight and its derivative by the particle's position, at node - particle [cells].
+def row(corner: int, i: int, j: int, grid: ti.template()):
+    """Flat index of the first node of row (i, j), along z, of the stencil at `corner`.
 
-    The same numbers as `weights` and `slopes`, for loops that are not unrolled.
+    The mask changes no index: it shows the compiler that an index cannot overflow, so that the
+    nodes of a row lie side by side and can be one vector.
     """
-    d = ti.abs(distance)
-    sign = ti.select(distance < 0, 1.0, -1.0)
-    weight, slope = 0.0, 0.0
-    if ti.static(width == 4):
-        far = ti.max(2 - d, 0.0)
-        weight = ti.select(d < 1, d * d * (0.5 * d - 1) + 2 / 3, far**3 / 6)
-        slope = sign * ti.select(d < 1, d * (1.5 * d - 2), -0.5 * far * far)
+    return (corner + (i * grid.nodes + j) * grid.nodes) & LARGEST_INDEX
+
+
+@ti.func
+def read_row(nodes: ti.template(), first: int, width: ti.template()):
+    """The node values (4 numbers each) of a row as one vector."""
+    values = ti.Vector.zero(float, 4 * width)
+    for k in ti.static(range(width)):
+        node = nodes[first + k]
+        for c in ti.static(range(4)):
+            values[4 * k + c] = node[c]
+    return values
+
+
+@ti.func
+def make_row(w, constant, linear, offset: float, width: ti.template()):
+    """The row w_k (constant + linear (k - offset)) of node values."""
+    values = ti.Vector.zero(float, 4 * width)
+    for k in ti.static(range(width)):
+        for c in ti.static(range(4)):
+            values[4 * k + c] = w[k] * (constant[c] + linear[c] * (k - offset))
+    return values
+
+
+@ti.func
+def add_row(nodes: ti.template(), first: int, share, width: ti.template(), atomic: ti.template()):
+    """Add to the node values of a row."""
+    if ti.static(atomic):
+        for k in ti.static(range(width)):
+            ti.atomic_add(nodes[first + k], ti.Vector([share[4 * k + c] for c in range(4)]))
     else:
-        far = ti.max(1.5 - d, 0.0)
-        weight = ti.select(d < 0.5, 0.75 - d * d, 0.5 * far * far)
-        slope = sign * ti.select(d < 0.5, -2 * d, -far)
-    return weight, slope
+        total = read_row(nodes, first, width) + share
+        for k in ti.static(range(width)):
+            nodes[first + k] = ti.Vector([total[4 * k + c] for c in range(4)])
+
+
+@ti.func
+def row_moments(nodes: ti.template(), first: int, w, width: ti.template()):
+    """Sums of w_k n_k and of (k - 1) w_k n_k over the nodes n_k of a row."""
+    low, high = w[0] * nodes[first], w[2] * nodes[first + 2]
+    total, moment = low + w[1] * nodes[first + 1] + high, high - low
+    if ti.static(width == 4):
+        last = w[3] * nodes[first + 3]
+        total += last
+        moment += 2 * last
+    return total, moment
+
+
+@ti.func
+def plane_moments(nodes: ti.template(), corner: int, i: int, w, grid: ti.template()):
+    """Sums of w_j r_j and of (j - 1) w_j r_j over the rows r_j of a plane."""
+    width = ti.static(grid.width)
+    low = w[0] * read_row(nodes, row(corner, i, 0, grid), width)
+    high = w[2] * read_row(nodes, row(corner, i, 2, grid), width)
+    middle = w[1] * read_row(nodes, row(corner, i, 1, grid), width)
+    total, moment = low + middle + high, high - low
+    if ti.static(width == 4):
+        last = w[3] * read_row(nodes, row(corner, i, 3, grid), width)
+        total += last
+        moment += 2 * last
+    return total, moment
+
+
+@ti.func
+def zero_sums(lanes: ti.template()):
+    """Sums over a stencil, for `accumulate`."""
+    return ti.Matrix.zero(float, 2, lanes)
+
+
+@ti.func
+def accumulate(sums: ti.template(), memory: int, weight: float, values):
+    """Add weight * values to the sums in row `memory`, see `in_memory`."""
+    for lane in ti.static(range(values.n)):
+        sums[memory, lane] = sums[memory, lane] + weight * values[lane]
+
+
+@ti.func
+def in_memory(offset):
+    """Zero, but the compiler cannot know: a matrix indexed by it is kept in memory.
+
+    LLVM makes vector instructions of consecutive stores; long sums in registers it leaves scalar.
+    """
+    return ti.cast(offset.sum() > 100, int)
+
+
+@ti.func
+def lanes(sums: ti.template(), memory: int):
+    """The first three sums."""
+    return ti.Vector([sums[memory, 0], sums[memory, 1], sums[memory, 2]])
+
+
+@ti.func
+def total(sums: ti.template(), memory: int):
+    """All sums together."""
+    result = sums[memory, 0]
+    for lane in ti.static(range(1, sums.m)):
+        result += sums[memory, lane]
+    return result

@@ -95,7 +95,7 @@ class Simulation:
         self.volume = device.upload(rest_volume)
         self.bar = Layer(n)
         self.scratch = GridScratch(n, geometry)
-        self._grid_bar = device.vectors(geometry.node_count, 4)
+        self._grid_bar = device.vectors(geometry.node_count, 8)
         self._faults = device.integers(1)
 
     @property
@@ -149,7 +149,7 @@ class Simulation:
             )  # fmt: skip
             transfer.grid_to_particles_adjoint(
                 here.x, here.v, here.C, here.F, step.U, step.R, there.C, there.v, self.volume,
-                step.grid, self._grid_bar, bar.x, bar.v, bar.C, bar.F, step.U_bar,
+                self._grid_bar, bar.x, bar.v, bar.C, bar.F, step.U_bar,
                 self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
                 self.smoothing, factor, 0.0 if flags.drop_drag else 1.0,
                 1.0 if flags.carry_control else 0.0, decay, self.geometry, p.model,

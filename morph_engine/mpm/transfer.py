@@ -2,15 +2,15 @@
 
 A node value is the vector (momentum or velocity, mass). Scattering kernels add to private grids,
 one per chunk of particles, which `gather_chunks` sums in a fixed order; on a GPU there is one grid
-and the additions are atomic. Stencil loops are unrolled (`ti.static`), with sums along a grid row
-taken first, so that the compiler sees straight-line arithmetic.
+and the additions are atomic. Stencils are worked off row by row along z, where nodes lie side by
+side, so that the compiler finds vector instructions.
 """
 
 import taichi as ti
 
 from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import kernel
-from morph_engine.mpm.constitutive import rotation, stress, stress_differential, FIXED_COROTATED
+from morph_engine.mpm.constitutive import FIXED_COROTATED, rotation, stress, stress_differential
 
 # Bits of a step's fault flags (algorithm 12.2 C).
 NON_FINITE, OUTSIDE, INVERTED, TOO_FAST = 1, 2, 4, 8
@@ -21,6 +21,18 @@ SMALLEST_MASS = 1e-12
 def zero4():
     """A zero node value; built in a kernel, so that it has the precision Taichi runs in."""
     return ti.Vector.zero(float, 4)
+
+
+@ti.func
+def append(a, b: float):
+    """(a, b): a vector and a number as one vector of four."""
+    return ti.Vector([a.x, a.y, a.z, b])
+
+
+@ti.func
+def join(a, b: float, c):
+    """(a, b, c, 0): two vectors and a number as one vector of eight."""
+    return ti.Vector([a.x, a.y, a.z, b, c.x, c.y, c.z, 0.0])
 
 
 @ti.func
@@ -65,24 +77,22 @@ def scatter(
     atomic: ti.template(),
 ):
     """Add w_ip (constant + linear d_ip, mass) to the nodes around one particle."""
-    dx, nodes, width = ti.static(geometry.dx, geometry.nodes, geometry.width)
+    dx, width = ti.static(geometry.dx, geometry.width)
     base, u = kernel.base_and_offset(position, geometry)
     wx, wy, wz = kernel.weights(u.x, width), kernel.weights(u.y, width), kernel.weights(u.z, width)
     corner = offset + kernel.flat_index(base, geometry)
-    for i in ti.static(range(width)):
-        at_i = constant + linear[:, 0] * ((i - u.x) * dx)
-        for j in ti.static(range(width)):
-            at_j = at_i + linear[:, 1] * ((j - u.y) * dx)
-            w_ij = wx[i] * wy[j]
-            row = corner + (i * nodes + j) * nodes
+    by_x, by_y = append(linear[:, 0] * dx, 0.0), append(linear[:, 1] * dx, 0.0)
+    by_z, center = append(linear[:, 2] * dx, 0.0), append(constant, mass)
+    along_z = kernel.make_row(wz, center, by_z, u.z, width)
+    for i in range(width):
+        for j in range(width):
+            w = wx[i] * wy[j]
+            across = w * (by_x * (i - u.x) + by_y * (j - u.y))
+            share = ti.Vector.zero(float, 4 * width)
             for k in ti.static(range(width)):
-                w = w_ij * wz[k]
-                value = w * (at_j + linear[:, 2] * ((k - u.z) * dx))
-                share = ti.Vector([value.x, value.y, value.z, w * mass])
-                if ti.static(atomic):
-                    ti.atomic_add(partial[row + k], share)
-                else:
-                    partial[row + k] = partial[row + k] + share
+                for c in ti.static(range(4)):
+                    share[4 * k + c] = w * along_z[4 * k + c] + wz[k] * across[c]
+            kernel.add_row(partial, kernel.row(corner, i, j, geometry), share, width, atomic)
 
 
 @ti.func
@@ -133,9 +143,7 @@ def particles_to_grid(
 
     Leaves (velocity, mass) in `grid` and, for the corotated law, the rotations in `R`.
     """
-    affine, dx, nodes, width = ti.static(
-        geometry.affine, geometry.dx, geometry.nodes, geometry.width
-    )
+    affine = ti.static(geometry.affine)
     if ti.static(atomic):
         for i in range(geometry.node_count):
             partial[i] = zero4()
@@ -146,9 +154,7 @@ def particles_to_grid(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_planes(
-                    chunk, first, last, x, planes, partial, geometry
-                )
+                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
             for p in range(first, last):
                 A = F[p] + U[p]
                 if ti.static(model == FIXED_COROTATED):
@@ -156,9 +162,7 @@ def particles_to_grid(
                 P = stress(A, R[p], lame_lambda, lame_mu, model)
                 B = -affine * dt * volume[p] * (P @ A.transpose()) + mass * C[p]
                 momentum = (1 - dt * drag) * mass * v[p]
-                scatter(
-                    partial, offset, x[p], momentum, B, mass, geometry, atomic
-                )
+                scatter(partial, offset, x[p], momentum, B, mass, geometry, atomic)
     for i in range(geometry.node_count):
         node = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
         m = node.w
@@ -189,13 +193,12 @@ def particles_to_grid_adjoint(
     geometry: ti.template(),
     atomic: ti.template(),
 ):
-    """Adjoint of the grid step: node values (Pi_bar, M_bar) from the particles (algorithm 4.1, 4.2).
+    """Adjoint of the grid step: Pi_bar and M_bar from the particles (algorithm 4.1, 4.2).
 
+    `grid_bar` receives (Pi_bar, M_bar, v, 0), what `grid_to_particles_adjoint` reads of a node.
     `smoothing_factor` is (1 - s) in the exact adjoint, 1 in the published one.
     """
-    affine, dx, nodes, width = ti.static(
-        geometry.affine, geometry.dx, geometry.nodes, geometry.width
-    )
+    affine = ti.static(geometry.affine)
     if ti.static(atomic):
         for i in range(geometry.node_count):
             partial[i] = zero4()
@@ -206,15 +209,19 @@ def particles_to_grid_adjoint(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_planes(
-                    chunk, first, last, x, planes, partial, geometry
-                )
+                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
             for p in range(first, last):
                 nu = v_bar[p] + dt * x_bar[p]
                 A = F[p] + U[p]
                 Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar[p] @ A.transpose())
                 scatter(
-                    partial, offset, x[p], nu, affine * Gamma, 0.0, geometry,
+                    partial,
+                    offset,
+                    x[p],
+                    nu,
+                    affine * Gamma,
+                    0.0,
+                    geometry,
                     atomic,
                 )
     for i in range(geometry.node_count):
@@ -223,9 +230,9 @@ def particles_to_grid_adjoint(
             node = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
             Pi_bar = node.xyz / v_node.w
             M_bar = -v_node.xyz.dot(Pi_bar)
-            grid_bar[i] = ti.Vector([Pi_bar.x, Pi_bar.y, Pi_bar.z, M_bar])
+            grid_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
         else:
-            grid_bar[i] = zero4()
+            grid_bar[i] = ti.Vector.zero(float, 8)
 
 
 @ti.kernel
@@ -251,37 +258,33 @@ def grid_to_particles(
     Sets bits in `faults[0]` when a particle is non-finite, outside [-domain, domain]^3, inverted or
     faster than `largest_speed`.
     """
-    affine, dx, nodes, width = ti.static(
-        geometry.affine, geometry.dx, geometry.nodes, geometry.width
-    )
+    affine, dx, width = ti.static(geometry.affine, geometry.dx, geometry.width)
     for p in range(count):
         base, u = kernel.base_and_offset(x[p], geometry)
-        wx = kernel.weights(u.x, width)
-        wy = kernel.weights(u.y, width)
+        wx, wy = kernel.weights(u.x, width), kernel.weights(u.y, width)
         wz = kernel.weights(u.z, width)
         corner = kernel.flat_index(base, geometry)
-        velocity = zero4()
-        by_x, by_y, by_z = zero4(), zero4(), zero4()
-        for i in ti.static(range(width)):
-            plane, plane_y, plane_z = zero4(), zero4(), zero4()
-            for j in ti.static(range(width)):
-                row = corner + (i * nodes + j) * nodes
-                line, line_z = zero4(), zero4()
-                for k in ti.static(range(width)):
-                    weighted = wz[k] * grid[row + k]
-                    line += weighted
-                    if ti.static(k > 0):
-                        line_z += k * weighted
-                plane += wy[j] * line
-                plane_y += (wy[j] * (j - u.y)) * line
-                plane_z += wy[j] * line_z
-            velocity += wx[i] * plane
-            by_x += (wx[i] * (i - u.x)) * plane
-            by_y += wx[i] * plane_y
-            by_z += wx[i] * plane_z
-        by_z -= u.z * velocity
-        C = (affine * dx) * ti.Matrix.cols([by_x.xyz, by_y.xyz, by_z.xyz])
-        v = velocity.xyz
+        # Sums over x and y of w v, w v dx and w v dy, for each z separately.
+        row = kernel.in_memory(u)
+        flow = kernel.zero_sums(4 * width)
+        flow_x, flow_y = kernel.zero_sums(4 * width), kernel.zero_sums(4 * width)
+        for i in range(width):
+            plane, plane_y = kernel.plane_moments(grid, corner, i, wy, geometry)
+            kernel.accumulate(flow, row, wx[i], plane)
+            kernel.accumulate(flow_x, row, wx[i] * (i - u.x), plane)
+            kernel.accumulate(flow_y, row, wx[i], plane_y)
+        v, by_x = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
+        by_y, by_z = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
+        for k in ti.static(range(width)):
+            for c in ti.static(range(3)):
+                weighted = wz[k] * flow[row, 4 * k + c]
+                v[c] += weighted
+                by_x[c] += wz[k] * flow_x[row, 4 * k + c]
+                by_y[c] += wz[k] * flow_y[row, 4 * k + c]
+                by_z[c] += (k - 1) * weighted
+        by_y -= (u.y - 1) * v
+        by_z -= (u.z - 1) * v
+        C = (affine * dx) * ti.Matrix.cols([by_x, by_y, by_z])
         position = x[p] + dt * v
         F_old = F[p]
         A = F_old + U[p]
@@ -318,7 +321,6 @@ def grid_to_particles_adjoint(
     C_next: ti.types.ndarray(),
     v_next: ti.types.ndarray(),
     volume: ti.types.ndarray(),
-    grid: ti.types.ndarray(),
     grid_bar: ti.types.ndarray(),
     x_bar: ti.types.ndarray(),
     v_bar: ti.types.ndarray(),
@@ -345,17 +347,8 @@ def grid_to_particles_adjoint(
     `weight_drag` (0 leaves the drag out of the weight derivative), `control_carry` (1 adds s F_bar'
     to the control gradient). `decay` multiplies the whole adjoint state afterwards.
     """
-    affine, dx, nodes, width = ti.static(
-        geometry.affine, geometry.dx, geometry.nodes, geometry.width
-    )
+    affine, dx, width = ti.static(geometry.affine, geometry.dx, geometry.width)
     for p in range(count):
-        base, u = kernel.base_and_offset(x[p], geometry)
-        wy = kernel.weights(u.y, width)
-        wz = kernel.weights(u.z, width)
-        gy = kernel.slopes(u.y, width)
-        gz = kernel.slopes(u.z, width)
-        corner = kernel.flat_index(base, geometry)
-
         A = F[p] + U[p]
         P = stress(A, R[p], lame_lambda, lame_mu, model)
         B = -affine * dt * volume[p] * (P @ A.transpose()) + mass * C[p]
@@ -364,55 +357,45 @@ def grid_to_particles_adjoint(
         Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
         momentum = (1 - weight_drag * dt * drag) * mass * v[p]
 
+        base, u = kernel.base_and_offset(x[p], geometry)
+        wx, gx = kernel.weights(u.x, width), kernel.slopes(u.x, width)
+        wy, gy = kernel.weights(u.y, width), kernel.slopes(u.y, width)
+        wz, gz = kernel.weights(u.z, width), kernel.slopes(u.z, width)
+        corner = kernel.flat_index(base, geometry)
+        # The scalar of 4.3 at a node is the dot product of grid_bar with an affine function of it.
+        by_x = join(B[:, 0] * dx, 0.0, Gamma[:, 0] * (affine * dx))
+        by_y = join(B[:, 1] * dx, 0.0, Gamma[:, 1] * (affine * dx))
+        by_z = join(B[:, 2] * dx, 0.0, Gamma[:, 2] * (affine * dx))
+        center = join(momentum, mass, nu) - (u.z - 1) * by_z
+
         # q = sum w Pi_bar, Q = sum w Pi_bar (x) d, e = sum grad w (scalar of the node)
-        q = zero4()
-        q_x, q_y, q_z = zero4(), zero4(), zero4()
-        e = ti.Vector.zero(float, 3)
-        from_pi = ti.Matrix.cols([momentum, B[:, 0] * dx, B[:, 1] * dx, B[:, 2] * dx])
-        from_v = ti.Matrix.cols(
-            [nu, Gamma[:, 0] * (affine * dx), Gamma[:, 1] * (affine * dx),
-             Gamma[:, 2] * (affine * dx)]
-        )
+        row = kernel.in_memory(u)
+        sum_q, sum_x, sum_y, sum_z = [kernel.zero_sums(8) for _ in range(4)]
+        e_x, e_y, e_z = [kernel.zero_sums(8) for _ in range(3)]
         for i in range(width):
-            wx_i, gx_i = kernel.weight_and_slope(i - u.x, width)
-            plane, plane_y, plane_z = zero4(), zero4(), zero4()
-            s_plane, s_y, s_z = 0.0, 0.0, 0.0
-            pi_i = from_pi[:, 0] + from_pi[:, 1] * (i - u.x)
-            v_i = from_v[:, 0] + from_v[:, 1] * (i - u.x)
-            for j in ti.static(range(width)):
-                row = corner + (i * nodes + j) * nodes
-                line, line_z = zero4(), zero4()
-                s_line, s_slope = 0.0, 0.0
-                pi_j = pi_i + from_pi[:, 2] * (j - u.y)
-                v_j = v_i + from_v[:, 2] * (j - u.y)
-                for k in ti.static(range(width)):
-                    bar = grid_bar[row + k]
-                    node = grid[row + k]
-                    scalar = (
-                        mass * bar.w
-                        + bar.xyz.dot(pi_j + from_pi[:, 3] * (k - u.z))
-                        + node.xyz.dot(v_j + from_v[:, 3] * (k - u.z))
-                    )
-                    weighted = wz[k] * bar
-                    line += weighted
-                    if ti.static(k > 0):
-                        line_z += k * weighted
-                    s_line += wz[k] * scalar
-                    s_slope += gz[k] * scalar
-                plane += wy[j] * line
-                plane_y += (wy[j] * (j - u.y)) * line
-                plane_z += wy[j] * line_z
-                s_plane += wy[j] * s_line
-                s_y += gy[j] * s_line
-                s_z += wy[j] * s_slope
-            q += wx_i * plane
-            q_x += (wx_i * (i - u.x)) * plane
-            q_y += wx_i * plane_y
-            q_z += wx_i * plane_z
-            e += ti.Vector([gx_i * s_plane, wx_i * s_y, wx_i * s_z])
-        q_z -= u.z * q
-        Q = dx * ti.Matrix.cols([q_x.xyz, q_y.xyz, q_z.xyz])
-        e /= dx
+            for j in range(width):
+                first = kernel.row(corner, i, j, geometry)
+                line, line_z = kernel.row_moments(grid_bar, first, wz, width)
+                slope, slope_z = kernel.row_moments(grid_bar, first, gz, width)
+                affine_ij = center + by_x * (i - u.x) + by_y * (j - u.y)
+                scalar = line * affine_ij + line_z * by_z
+                w = wx[i] * wy[j]
+                kernel.accumulate(sum_q, row, w, line)
+                kernel.accumulate(sum_x, row, w * (i - u.x), line)
+                kernel.accumulate(sum_y, row, w * (j - u.y), line)
+                kernel.accumulate(sum_z, row, w, line_z)
+                kernel.accumulate(e_x, row, gx[i] * wy[j], scalar)
+                kernel.accumulate(e_y, row, wx[i] * gy[j], scalar)
+                kernel.accumulate(e_z, row, w, slope * affine_ij + slope_z * by_z)
+        q = kernel.lanes(sum_q, row)
+        Q = dx * ti.Matrix.cols(
+            [
+                kernel.lanes(sum_x, row),
+                kernel.lanes(sum_y, row),
+                kernel.lanes(sum_z, row) - (u.z - 1) * q,
+            ]
+        )
+        e = ti.Vector([kernel.total(e_x, row), kernel.total(e_y, row), kernel.total(e_z, row)]) / dx
 
         P_bar = (-affine * dt * volume[p]) * (Q @ A)
         C_new = C_next[p]
@@ -422,12 +405,9 @@ def grid_to_particles_adjoint(
             + (1 - smoothing) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
         )
         x_bar[p] = decay * (
-            x_bar[p]
-            + e
-            - B.transpose() @ q.xyz
-            - affine * (Gamma.transpose() @ v_next[p])
+            x_bar[p] + e - B.transpose() @ q - affine * (Gamma.transpose() @ v_next[p])
         )
-        v_bar[p] = decay * (1 - dt * drag) * mass * q.xyz
+        v_bar[p] = decay * (1 - dt * drag) * mass * q
         C_bar[p] = decay * mass * Q
         U_bar[p] = decay * (A_bar + control_carry * smoothing * F_bar_next)
         F_bar[p] = decay * (A_bar + smoothing * F_bar_next)
