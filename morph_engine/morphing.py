@@ -25,7 +25,7 @@ from morph_engine.events import Event
 from morph_engine.fill import fill_metrics, outside_metrics
 from morph_engine.ingest import check_mesh
 from morph_engine.mesh import Mesh
-from morph_engine.methods import FrameOutcome, Problem
+from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics import chamfer_metrics, deformation_metrics
 from morph_engine.presets import configure
 from morph_engine.run_record import Geometry, RunRecord
@@ -143,14 +143,17 @@ def run(
     """Run, resume or repeat what a run record describes; arguments as for `morph`."""
     config = MorphConfig.model_validate(record.config)
     check_resources(record, config, out)
+    # Everything that can be refused is refused before a run directory exists.
+    method = methods.find(config.method)
+    backend.start(device, threads=threads, precision=config.precision)
     if out is None:
-        yield from _frames(record, config, device, threads)
+        yield from _frames(record, config, method, threads)
         return
     spool = Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
     with spool:
         complete = False
         try:
-            yield from _frames(record, config, device, threads, spool)
+            yield from _frames(record, config, method, threads, spool)
             complete = True
         finally:
             if spool.frame_count:
@@ -189,13 +192,11 @@ def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | No
 def _frames(
     record: RunRecord,
     config: MorphConfig,
-    device: backend.Device,
+    kind: type[Method],
     threads: int,
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
-    backend.start(device, threads=threads, precision=config.precision)
-    problem = Problem(record.source_points, record.target_points, config)
-    method = methods.find(config.method)(problem)
+    method = kind(Problem(record.source_points, record.target_points, config))
     stopping = EarlyStopping(config)
     start = 0
     checkpoint = spool.load_checkpoint() if spool else None
