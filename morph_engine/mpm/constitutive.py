@@ -1,7 +1,7 @@
-"""Elastic energies: first Piola stress P(A) and its differential (algorithm 2.2, 2.8, 4.5).
+"""Elastic laws: Kirchhoff stress P(A) A^T, which is what moves the grid, and its adjoint.
 
-Both laws are written with the cofactor matrix, cof(A) = det(A) A^-T, which stays finite for a
-singular A; whether an inverted element is acceptable is decided by the watchdog, not here.
+The cofactor matrix, cof(A) = det(A) A^-T, stands for the inverse: it stays finite for a singular A.
+Whether an inverted element is acceptable is decided by the watchdog, not here.
 """
 
 import taichi as ti
@@ -12,26 +12,10 @@ SMALLEST_VOLUME_RATIO = 1e-6
 
 
 @ti.func
-def double_dot(a, b):
-    """A:B, the sum of the products of all entries."""
-    return (a * b).sum()
-
-
-@ti.func
 def cofactor(a):
     """cof(A) = d det(A) / dA; its rows are the cross products of the rows of A."""
     x, y, z = a[0, :], a[1, :], a[2, :]
     return ti.Matrix.rows([y.cross(z), z.cross(x), x.cross(y)])
-
-
-@ti.func
-def cofactor_differential(a, z):
-    """Directional derivative of cof at A along Z."""
-    a0, a1, a2 = a[0, :], a[1, :], a[2, :]
-    z0, z1, z2 = z[0, :], z[1, :], z[2, :]
-    return ti.Matrix.rows(
-        [z1.cross(a2) + a1.cross(z2), z2.cross(a0) + a2.cross(z0), z0.cross(a1) + a0.cross(z1)]
-    )
 
 
 @ti.func
@@ -54,57 +38,69 @@ def _newton_step(r):
     det = (r[0, :] * c[0, :]).sum()
     if ti.abs(det) < 1e-12:
         det = 1e-12
-    step = 0.5 * (c / det - r)
+    step = (0.5 / det) * c - 0.5 * r
     return r + step, step.norm_sqr()
 
 
 @ti.func
-def stress(a, r, lame_lambda: float, lame_mu: float, model: ti.template()):
-    """First Piola stress P(A) [density * dx^2 / s^2] (algorithm 2.2, 2.8); R is used by one law."""
-    cof = cofactor(a)
-    volume_ratio = (a[0, :] * cof[0, :]).sum()
-    p = a
-    if ti.static(model == FIXED_COROTATED):
-        p = 2 * lame_mu * (a - r) + lame_lambda * (volume_ratio - 1) * cof
-    else:
-        j = ti.max(volume_ratio, SMALLEST_VOLUME_RATIO)
-        p = lame_mu * a + (lame_lambda * ti.log(j) - lame_mu) / j * cof
-    return p
+def kirchhoff_stress(a, r, lame_lambda: float, lame_mu: float, model: ti.template()):
+    """Kirchhoff stress T(A) = P(A) A^T [density * dx^2 / s^2] (algorithm 2.2, 2.8).
 
-
-@ti.func
-def stress_differential(a, r, z, lame_lambda: float, lame_mu: float, model: ti.template()):
-    """dP(A)[Z], the energy Hessian applied to Z; symmetric, so its own adjoint (algorithm 4.5)."""
-    cof = cofactor(a)
-    volume_ratio = (a[0, :] * cof[0, :]).sum()
-    result = z
+    The fixed corotated law is written with the left stretch V = A R^T:
+    T = 2 mu (V^2 - V) + lambda J (J - 1) I.
+    """
+    j = a.determinant()
+    result = a
     if ti.static(model == FIXED_COROTATED):
-        result = (
-            2 * lame_mu * (z - _rotation_differential(a, r, z))
-            + lame_lambda * double_dot(cof, z) * cof
-            + lame_lambda * (volume_ratio - 1) * cofactor_differential(a, z)
-        )
+        stretch = a @ r.transpose()
+        result = 2 * lame_mu * (stretch @ stretch - stretch)
+        result += _isotropic(lame_lambda * j * (j - 1))
     else:
-        j = ti.max(volume_ratio, SMALLEST_VOLUME_RATIO)
-        b = cof / j
-        result = (
-            lame_mu * z
-            + (lame_mu - lame_lambda * ti.log(j)) * (b @ z.transpose() @ b)
-            + lame_lambda * double_dot(b, z) * b
-        )
+        j = ti.max(j, SMALLEST_VOLUME_RATIO)
+        result = lame_mu * (a @ a.transpose()) + _isotropic(lame_lambda * ti.log(j) - lame_mu)
     return result
 
 
 @ti.func
-def _rotation_differential(a, r, z):
-    """dR = R [omega]x with (tr(S) I - S) omega = axial(R^T Z - Z^T R), S = R^T A."""
-    s = r.transpose() @ a
-    t = r.transpose() @ z
-    m = s.trace() * ti.Matrix.identity(float, 3) - 0.5 * (s + s.transpose())
+def kirchhoff_stress_adjoint(a, r, t_bar, lame_lambda: float, lame_mu: float, model: ti.template()):
+    """Gradient of T(A) : T_bar by A; with P_bar = T_bar A it is T_bar^T P + Hpsi(A)[P_bar].
+
+    For the fixed corotated law dR = [omega]x R, where (tr(V) I - V) omega is the axial vector of
+    T_bar V (algorithm 4.4, 4.5).
+    """
+    cof = cofactor(a)
+    j = (a[0, :] * cof[0, :]).sum()
+    symmetric = t_bar + t_bar.transpose()
+    result = a
+    if ti.static(model == FIXED_COROTATED):
+        skew = _skew(_angular_velocity(a @ r.transpose(), t_bar))
+        result = 2 * lame_mu * (symmetric @ a - (t_bar.transpose() + skew) @ r)
+        result += lame_lambda * (2 * j - 1) * t_bar.trace() * cof
+    else:
+        factor = lame_lambda * t_bar.trace() / ti.max(j, SMALLEST_VOLUME_RATIO)
+        result = lame_mu * (symmetric @ a) + factor * cof
+    return result
+
+
+@ti.func
+def _isotropic(pressure: float):
+    return ti.Matrix([[pressure, 0, 0], [0, pressure, 0], [0, 0, pressure]])
+
+
+@ti.func
+def _skew(w):
+    """[w]x, the matrix of y -> w x y."""
+    return ti.Matrix([[0, -w.z, w.y], [w.z, 0, -w.x], [-w.y, w.x, 0]])
+
+
+@ti.func
+def _angular_velocity(stretch, t):
+    """The omega with (tr(V) I - V) omega = axial(T V - V T^T)."""
+    m = stretch.trace() * ti.Matrix.identity(float, 3) - 0.5 * (stretch + stretch.transpose())
     det = m.determinant()
     if ti.abs(det) < 1e-6:
         m += 1e-4 * ti.Matrix.identity(float, 3)
         det = m.determinant()
-    axial = ti.Vector([t[2, 1] - t[1, 2], t[0, 2] - t[2, 0], t[1, 0] - t[0, 1]])
-    w = cofactor(m) @ axial / det
-    return r @ ti.Matrix([[0, -w.z, w.y], [w.z, 0, -w.x], [-w.y, w.x, 0]])
+    n = t @ stretch
+    axial = ti.Vector([n[2, 1] - n[1, 2], n[0, 2] - n[2, 0], n[1, 0] - n[0, 1]])
+    return cofactor(m) @ axial / det

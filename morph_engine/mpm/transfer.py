@@ -10,7 +10,12 @@ import taichi as ti
 
 from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import kernel
-from morph_engine.mpm.constitutive import FIXED_COROTATED, rotation, stress, stress_differential
+from morph_engine.mpm.constitutive import (
+    FIXED_COROTATED,
+    kirchhoff_stress,
+    kirchhoff_stress_adjoint,
+    rotation,
+)
 
 # Bits of a step's fault flags (algorithm 12.2 C).
 NON_FINITE, OUTSIDE, INVERTED, TOO_FAST = 1, 2, 4, 8
@@ -159,15 +164,15 @@ def particles_to_grid(
                 A = F[p] + U[p]
                 if ti.static(model == FIXED_COROTATED):
                     R[p] = rotation(A)
-                P = stress(A, R[p], lame_lambda, lame_mu, model)
-                B = -affine * dt * volume[p] * (P @ A.transpose()) + mass * C[p]
+                T = kirchhoff_stress(A, R[p], lame_lambda, lame_mu, model)
+                B = (-affine * dt * volume[p]) * T + mass * C[p]
                 momentum = (1 - dt * drag) * mass * v[p]
                 scatter(partial, offset, x[p], momentum, B, mass, geometry, atomic)
     for i in range(geometry.node_count):
         node = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
         m = node.w
         if m > SMALLEST_MASS and kernel.is_inside(i, geometry):
-            grid[i] = ti.Vector([node.x / m, node.y / m, node.z / m, m])
+            grid[i] = append(node.xyz / m, m)
         else:
             grid[i] = zero4()
 
@@ -350,8 +355,8 @@ def grid_to_particles_adjoint(
     affine, dx, width = ti.static(geometry.affine, geometry.dx, geometry.width)
     for p in range(count):
         A = F[p] + U[p]
-        P = stress(A, R[p], lame_lambda, lame_mu, model)
-        B = -affine * dt * volume[p] * (P @ A.transpose()) + mass * C[p]
+        T = kirchhoff_stress(A, R[p], lame_lambda, lame_mu, model)
+        B = (-affine * dt * volume[p]) * T + mass * C[p]
         F_bar_next = F_bar[p]
         nu = v_bar[p] + dt * x_bar[p]
         Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
@@ -397,13 +402,11 @@ def grid_to_particles_adjoint(
         )
         e = ti.Vector([kernel.total(e_x, row), kernel.total(e_y, row), kernel.total(e_z, row)]) / dx
 
-        P_bar = (-affine * dt * volume[p]) * (Q @ A)
+        T_bar = (-affine * dt * volume[p]) * Q
         C_new = C_next[p]
-        A_bar = (
-            (-affine * dt * volume[p]) * (Q.transpose() @ P)
-            + stress_differential(A, R[p], P_bar, lame_lambda, lame_mu, model)
-            + (1 - smoothing) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
-        )
+        A_bar = kirchhoff_stress_adjoint(A, R[p], T_bar, lame_lambda, lame_mu, model) + (
+            1 - smoothing
+        ) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
         x_bar[p] = decay * (
             x_bar[p] + e - B.transpose() @ q - affine * (Gamma.transpose() @ v_next[p])
         )

@@ -9,9 +9,9 @@ from morph_engine import backend
 from morph_engine.mpm.constitutive import (
     FIXED_COROTATED,
     NEO_HOOKEAN,
+    kirchhoff_stress,
+    kirchhoff_stress_adjoint,
     rotation,
-    stress,
-    stress_differential,
 )
 
 pytestmark = [
@@ -25,24 +25,27 @@ Matrices = NDArray[np.float64]
 @ti.kernel
 def evaluate(
     a: ti.types.ndarray(),
-    z: ti.types.ndarray(),
-    p: ti.types.ndarray(),
-    dp: ti.types.ndarray(),
+    t_bar: ti.types.ndarray(),
+    t: ti.types.ndarray(),
+    a_bar: ti.types.ndarray(),
     model: ti.template(),
 ):
-    """P(A) and its differential along Z."""
+    """T(A) and the gradient of T(A) : T_bar."""
     for i in range(a.shape[0]):
         r = rotation(a[i])
-        p[i] = stress(a[i], r, LAMBDA, MU, model)
-        dp[i] = stress_differential(a[i], r, z[i], LAMBDA, MU, model)
+        t[i] = kirchhoff_stress(a[i], r, LAMBDA, MU, model)
+        a_bar[i] = kirchhoff_stress_adjoint(a[i], r, t_bar[i], LAMBDA, MU, model)
 
 
 def laws(a: Matrices, z: Matrices, model: int) -> tuple[Matrices, Matrices]:
-    """P(A) and dP(A)[Z] of many matrices."""
+    """P(A) and dP(A)[Z] of many matrices, from T = P A^T and its adjoint at T_bar = Z A^-1."""
     device = backend.active()
-    p, dp = device.matrices(len(a)), device.matrices(len(a))
-    evaluate(device.upload(a), device.upload(z), p, dp, model)
-    return p.to_numpy(), dp.to_numpy()
+    inverse = np.linalg.inv(a)
+    t_bar = z @ inverse
+    t, a_bar = device.matrices(len(a)), device.matrices(len(a))
+    evaluate(device.upload(a), device.upload(t_bar), t, a_bar, model)
+    p = t.to_numpy() @ inverse.transpose(0, 2, 1)
+    return p, a_bar.to_numpy() - t_bar.transpose(0, 2, 1) @ p
 
 
 def energy(a: Matrices, model: int) -> NDArray[np.float64]:
