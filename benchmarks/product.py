@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.frames import FROM_THE_FIRST_FRAME
 from benchmarks.rows import Row, limit
 from morph_engine.spool import spool_path
 
@@ -37,7 +36,7 @@ class Run:
 
 def measure(quick: bool) -> list[Row]:
     """Run the command and watch it from outside; the whole job only in the full benchmark."""
-    chamfer = [f"--set={path}={value}" for path, value in FROM_THE_FIRST_FRAME.items()]
+    chamfer = ["--set=chamfer.start_frame=0", "--set=chamfer.ramp_frames=1"]
     short = ["--frames=2", *chamfer]
     with tempfile.TemporaryDirectory() as cache:
         cold = run(["--frames=1"], {"TI_OFFLINE_CACHE_FILE_PATH": cache})
