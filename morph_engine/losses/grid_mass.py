@@ -105,7 +105,7 @@ def _mass_to_grid(
     atomic: ti.template(),
 ):
     """M_i = sum_p w_ip m, on nodes inside the domain."""
-    nodes, width = ti.static(geometry.nodes, geometry.width)
+    width = ti.static(geometry.width)
     if ti.static(atomic):
         for i in range(geometry.node_count):
             partial[i] = 0.0
@@ -123,18 +123,20 @@ def _mass_to_grid(
                 wy = kernel.weights(u.y, width)
                 wz = kernel.weights(u.z, width) * point_mass
                 corner = offset + kernel.flat_index(base, geometry)
-                for i in ti.static(range(width)):
-                    for j in ti.static(range(width)):
-                        row = corner + (i * nodes + j) * nodes
-                        for k in ti.static(range(width)):
-                            share = wx[i] * wy[j] * wz[k]
-                            if ti.static(atomic):
-                                ti.atomic_add(partial[row + k], share)
-                            else:
-                                partial[row + k] = partial[row + k] + share
+                for i in range(width):
+                    for j in range(width):
+                        first = kernel.row(corner, i, j, geometry)
+                        share = (wx[i] * wy[j]) * wz
+                        if ti.static(atomic):
+                            for k in ti.static(range(width)):
+                                ti.atomic_add(partial[first + k], share[k])
+                        else:
+                            total = ti.Vector([partial[first + k] for k in range(width)]) + share
+                            for k in ti.static(range(width)):
+                                partial[first + k] = total[k]
     for i in range(geometry.node_count):
         total = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
-        mass[i] = total if kernel.is_inside(i, geometry) else 0.0
+        mass[i] = total if total != 0 and kernel.is_inside(i, geometry) else 0.0
 
 
 @ti.kernel
@@ -147,24 +149,31 @@ def _mass_to_grid_adjoint(
     geometry: ti.template(),
 ):
     """x_bar_p = factor sum_i dL/dM_i grad w_ip."""
-    dx, nodes, width = ti.static(geometry.dx, geometry.nodes, geometry.width)
+    dx, width = ti.static(geometry.dx, geometry.width)
     for p in range(count):
         base, u = kernel.base_and_offset(x[p], geometry)
         wx, gx = kernel.weights(u.x, width), kernel.slopes(u.x, width)
         wy, gy = kernel.weights(u.y, width), kernel.slopes(u.y, width)
         wz, gz = kernel.weights(u.z, width), kernel.slopes(u.z, width)
         corner = kernel.flat_index(base, geometry)
-        gradient = ti.Vector.zero(float, 3)
-        for i in ti.static(range(width)):
+        # Sums over x and y, for each z separately.
+        memory = kernel.in_memory(u)
+        flat, by_x, by_y = [kernel.zero_sums(width) for _ in range(3)]
+        for i in range(width):
+            plane, plane_y = ti.Vector.zero(float, width), ti.Vector.zero(float, width)
             for j in ti.static(range(width)):
-                row = corner + (i * nodes + j) * nodes
-                line, line_z = 0.0, 0.0
-                for k in ti.static(range(width)):
-                    line += wz[k] * slope[row + k]
-                    line_z += gz[k] * slope[row + k]
-                gradient += ti.Vector(
-                    [gx[i] * wy[j] * line, wx[i] * gy[j] * line, wx[i] * wy[j] * line_z]
-                )
+                first = kernel.row(corner, i, j, geometry)
+                values = ti.Vector([slope[first + k] for k in range(width)])
+                plane += wy[j] * values
+                plane_y += gy[j] * values
+            kernel.accumulate(flat, memory, wx[i], plane)
+            kernel.accumulate(by_x, memory, gx[i], plane)
+            kernel.accumulate(by_y, memory, wx[i], plane_y)
+        gradient = ti.Vector.zero(float, 3)
+        for k in ti.static(range(width)):
+            gradient.x += wz[k] * by_x[memory, k]
+            gradient.y += wz[k] * by_y[memory, k]
+            gradient.z += gz[k] * flat[memory, k]
         x_bar[p] = gradient * (factor / dx)
 
 
@@ -202,7 +211,7 @@ def _volumes(
     geometry: ti.template(),
 ):
     """V_p = m dx^3 / sum_i w_ip M_i."""
-    dx, nodes, width = ti.static(geometry.dx, geometry.nodes, geometry.width)
+    dx, width = ti.static(geometry.dx, geometry.width)
     for p in range(count):
         base, u = kernel.base_and_offset(x[p], geometry)
         wx = kernel.weights(u.x, width)
@@ -210,9 +219,9 @@ def _volumes(
         wz = kernel.weights(u.z, width)
         corner = kernel.flat_index(base, geometry)
         density = 0.0
-        for i in ti.static(range(width)):
-            for j in ti.static(range(width)):
-                row = corner + (i * nodes + j) * nodes
+        for i in range(width):
+            for j in range(width):
+                first = kernel.row(corner, i, j, geometry)
                 for k in ti.static(range(width)):
-                    density += wx[i] * wy[j] * wz[k] * mass[row + k]
+                    density += wx[i] * wy[j] * wz[k] * mass[first + k]
         volumes[p] = point_mass * dx**3 / ti.max(density, SMALLEST_MASS)
