@@ -119,22 +119,15 @@ def row(corner: int, i: int, j: int, grid: ti.template()):
 @ti.func
 def read_row(nodes: ti.template(), first: int, width: ti.template()):
     """The node values (4 numbers each) of a row as one vector."""
-    values = ti.Vector.zero(float, 4 * width)
-    for k in ti.static(range(width)):
-        node = nodes[first + k]
-        for c in ti.static(range(4)):
-            values[4 * k + c] = node[c]
-    return values
+    row_nodes = [nodes[first + k] for k in range(width)]
+    return ti.Vector([node[c] for node in row_nodes for c in range(4)])
 
 
 @ti.func
 def make_row(w, constant, linear, offset: float, width: ti.template()):
     """The row w_k (constant + linear (k - offset)) of node values."""
-    values = ti.Vector.zero(float, 4 * width)
-    for k in ti.static(range(width)):
-        for c in ti.static(range(4)):
-            values[4 * k + c] = w[k] * (constant[c] + linear[c] * (k - offset))
-    return values
+    values = [w[k] * (constant + linear * (k - offset)) for k in range(width)]
+    return ti.Vector([value[c] for value in values for c in range(4)])
 
 
 @ti.func

@@ -93,10 +93,9 @@ def scatter(
         for j in range(width):
             w = wx[i] * wy[j]
             across = w * (by_x * (i - u.x) + by_y * (j - u.y))
-            share = ti.Vector.zero(float, 4 * width)
-            for k in ti.static(range(width)):
-                for c in ti.static(range(4)):
-                    share[4 * k + c] = w * along_z[4 * k + c] + wz[k] * across[c]
+            share = w * along_z + ti.Vector(
+                [wz[k] * across[c] for k in range(width) for c in range(4)]
+            )
             kernel.add_row(partial, kernel.row(corner, i, j, geometry), share, width, atomic)
 
 
