@@ -20,9 +20,8 @@ NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
-SOUND_STEPS_PER_CELL = 0.7
-"""Largest stable dt * c / dx, c the elastic wave speed. Explicit MPM at the published stiffness
-runs at 0.38; sphere -> bunny first fails its watchdog beyond 0.7."""
+COURANT_LIMIT = 1.0
+"""An elastic wave crosses at most this many cells in a time step (Courant condition)."""
 
 
 class _Section(BaseModel):
@@ -146,13 +145,11 @@ class ChamferConfig(_Section):
 class OptimizerConfig(_Section):
     """Optimisation of one frame (algorithm 6)."""
 
-    strategy: Literal["sequential", "simultaneous"] = Field(
-        "simultaneous",
-        description="Update one control layer per adjoint sweep, or all layers from one sweep.",
+    layers_per_step: Count = Field(
+        1, description="Control layers that one step updates together, from one adjoint sweep."
     )
     passes: Count = Field(3, description="Passes over the control layers per frame.")
     step: Positive = Field(0.01, description="alpha_0, first trial step of the line search.")
-    step_decay: float = Field(1.0, gt=0, le=1, description="Factor on the step, pass by pass.")
     line_search_trials: int = Field(5, ge=1, le=30)
     line_search_factor: float = Field(0.5, gt=0, lt=1)
     target_norm: Positive = Field(2500.0, description="Gradient norm above which steps shrink.")
@@ -222,7 +219,7 @@ class MorphConfig(_Section):
     @property
     def largest_dt(self) -> float:
         """Largest stable time step of this material on this grid [s]."""
-        return SOUND_STEPS_PER_CELL * self.grid.dx / self.material.sound_speed
+        return COURANT_LIMIT * self.grid.dx / self.material.sound_speed
 
     @model_validator(mode="after")
     def _consistent(self) -> MorphConfig:

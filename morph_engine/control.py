@@ -95,11 +95,10 @@ class FrameControl:
         self._controls = [
             LayerControl(simulation.particle_count, config.optimizer) for _ in range(count)
         ]
-        self._groups = (
-            [[layer] for layer in range(count)]
-            if config.optimizer.strategy == "sequential"
-            else [list(range(count))]
-        )
+        size = config.optimizer.layers_per_step
+        self._groups = [
+            list(range(first, min(first + size, count))) for first in range(0, count, size)
+        ]
         self._norm = Norm()
         self._weights = FrameWeights(0.0, 0.0, 1.0, 1.0)
         self._counts = [0] * count
@@ -184,7 +183,7 @@ class FrameControl:
         norms = norms or self._norms(group)
         objective = self._objective(before, chamfer_weight)
         for trial in range(optimizer.line_search_trials):
-            factor = optimizer.step_decay**pass_index * optimizer.line_search_factor**trial
+            factor = optimizer.line_search_factor**trial
             for layer, norm in zip(group, norms, strict=True):
                 scale = optimizer.target_norm / max(norm, 1e-6)
                 alpha = optimizer.step * min(max(scale, optimizer.smallest_scale), 1.0)

@@ -17,7 +17,6 @@ _PUBLISHED: dict[str, Any] = {
     "adjoint": {"drop_smoothing": True, "carry_control": True, "drop_drag": True},
     "chamfer": {"neighborhood": "published"},
     "optimizer": {
-        "strategy": "sequential",
         "normalise_by": "physics",
         "shared_counter": True,
     },
@@ -33,13 +32,17 @@ _PAPER: dict[str, Any] = {
         "weight_mode": "literal",
     },
     "chamfer": {"normalise": False, "huber_delta": 0.0, "reverse_smoothing": 0.0},
-    "optimizer": {"strategy": "sequential"},
 }
 
-_FAST: dict[str, Any] = {}
+# The quickest settings that end no worse than the published ones; measured in docs/presets.md.
+_FAST: dict[str, Any] = {
+    "material": {"drag": 4.0},
+    "adjoint": {"drop_smoothing": True},
+    "optimizer": {"layers_per_step": 2, "passes": 2, "step": 0.006},
+}
 
 _PRESETS: dict[str, tuple[int, str, dict[str, Any]]] = {
-    "fast": (1, "The default: exact gradients, all control layers from one sweep.", _FAST),
+    "fast": (1, "The default: as good as published, in a fraction of its time.", _FAST),
     "published": (1, "The authors' program, number for number.", _PUBLISHED),
     "paper": (1, "The text of the paper, taken literally.", _PAPER),
 }
