@@ -97,10 +97,7 @@ def _skew(w):
 def _angular_velocity(stretch, t):
     """The omega with (tr(V) I - V) omega = axial(T V - V T^T)."""
     m = stretch.trace() * ti.Matrix.identity(float, 3) - 0.5 * (stretch + stretch.transpose())
-    det = m.determinant()
-    if ti.abs(det) < 1e-6:
-        m += 1e-4 * ti.Matrix.identity(float, 3)
-        det = m.determinant()
+    m += ti.select(ti.abs(m.determinant()) < 1e-6, 1e-4, 0.0) * ti.Matrix.identity(float, 3)
     n = t @ stretch
     axial = ti.Vector([n[2, 1] - n[1, 2], n[0, 2] - n[2, 0], n[1, 0] - n[0, 1]])
-    return cofactor(m) @ axial / det
+    return cofactor(m) @ axial / m.determinant()

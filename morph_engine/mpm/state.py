@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
+from morph_engine.mpm import transfer
 
 Array = NDArray[Any]
 
@@ -63,14 +64,11 @@ class Layer:
 
     def download(self) -> Particles:
         """Copy the state to the host."""
-        return Particles(
-            self.x.to_numpy(), self.v.to_numpy(), self.C.to_numpy(), self.F.to_numpy()
-        )
+        return Particles(self.x.to_numpy(), self.v.to_numpy(), self.C.to_numpy(), self.F.to_numpy())
 
     def clear(self) -> None:
         """Set everything to zero."""
-        for array in (self.x, self.v, self.C, self.F):
-            array.fill(0)
+        transfer.clear(self.x, self.v, self.C, self.F)
 
 
 class Transition:

@@ -28,6 +28,16 @@ def zero4():
     return ti.Vector.zero(float, 4)
 
 
+@ti.kernel
+def clear(
+    x: ti.types.ndarray(), v: ti.types.ndarray(), C: ti.types.ndarray(), F: ti.types.ndarray()
+):
+    """Set a particle state to zero."""
+    for p in range(x.shape[0]):
+        x[p], v[p] = ti.zero(x[p]), ti.zero(v[p])
+        C[p], F[p] = ti.zero(C[p]), ti.zero(F[p])
+
+
 @ti.func
 def append(a, b: float):
     """(a, b): a vector and a number as one vector of four."""
