@@ -150,6 +150,12 @@ class OptimizerConfig(_Section):
     )
     passes: Count = Field(3, description="Passes over the control layers per frame.")
     step: Positive = Field(0.01, description="alpha_0, first trial step of the line search.")
+    far_distance: NonNegative = Field(
+        0.0,
+        description="Where the two-sided distance at the start of a frame exceeds this, steps grow "
+        "in proportion [grid units]; 0 never.",
+    )
+    far_factor: float = Field(3.0, ge=1, description="Largest growth of steps far away.")
     line_search_trials: int = Field(5, ge=1, le=30)
     line_search_factor: float = Field(0.5, gt=0, lt=1)
     target_norm: Positive = Field(2500.0, description="Gradient norm above which steps shrink.")

@@ -101,12 +101,18 @@ class FrameControl:
         ]
         self._norm = Norm()
         self._weights = FrameWeights(0.0, 0.0, 1.0, 1.0)
+        self._step = config.optimizer.step
         self._counts = [0] * count
         self._losses = Losses(math.nan, math.nan)
         self._rejected: Counter[str] = Counter()
 
-    def run(self, frame: int, weights: FrameWeights) -> FrameReport:
+    def run(self, frame: int, weights: FrameWeights, distance: float) -> FrameReport:
         """Optimise one frame from the state in layer 0; the result is the last layer.
+
+        Args:
+            frame: 0-based frame index.
+            weights: The scheduled numbers of the frame.
+            distance: Two-sided distance between particles and target in layer 0 [dx].
 
         A frame that fails even without control is restarted from its first state with half the
         time step.
@@ -118,6 +124,7 @@ class FrameControl:
         simulation = self._simulation
         simulation.smoothing = weights.smoothing
         self._weights = weights
+        self._step = self._first_step(distance)
         simulation.dt = simulation.physics.dt
         for restart in range(self._config.watchdog.restarts + 1):
             self._reset()
@@ -186,7 +193,7 @@ class FrameControl:
             factor = optimizer.line_search_factor**trial
             for layer, norm in zip(group, norms, strict=True):
                 scale = optimizer.target_norm / max(norm, 1e-6)
-                alpha = optimizer.step * min(max(scale, optimizer.smallest_scale), 1.0)
+                alpha = self._step * min(max(scale, optimizer.smallest_scale), 1.0)
                 self._simulation.transitions[layer].U = self._controls[layer].try_step(
                     self._simulation.transitions[layer].U_bar,
                     norm,
@@ -209,6 +216,14 @@ class FrameControl:
         self._simulation.forward(lowest)
         self._losses = self._evaluate()
         return False
+
+    def _first_step(self, distance: float) -> float:
+        """alpha_0 of a frame: larger where there is far to go."""
+        optimizer = self._config.optimizer
+        if optimizer.far_distance == 0:
+            return optimizer.step
+        growth = distance / optimizer.far_distance
+        return optimizer.step * min(max(growth, 1.0), optimizer.far_factor)
 
     def _update_count(self, layer: int) -> int:
         shared = self._config.optimizer.shared_counter

@@ -38,7 +38,7 @@ _PAPER: dict[str, Any] = {
 _FAST: dict[str, Any] = {
     "material": {"drag": 4.0},
     "adjoint": {"drop_smoothing": True},
-    "optimizer": {"layers_per_step": 2, "passes": 2, "step": 0.006},
+    "optimizer": {"layers_per_step": 3, "passes": 2, "step": 0.006, "far_distance": 0.5},
 }
 
 _PRESETS: dict[str, tuple[int, str, dict[str, Any]]] = {

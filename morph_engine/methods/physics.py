@@ -82,7 +82,8 @@ class Physics(Method):
         simulation.layers[0].upload(self._particles.permuted(order))
         self._matches.rebuild(simulation.layers[0].x)
         weights = frame_weights(self.problem.config, frame, with_chamfer=self.with_chamfer)
-        report = self._control.run(frame, weights)
+        self._matches.update(simulation.layers[0].x)
+        report = self._control.run(frame, weights, two_sided(*self._matches.distances()))
         self._matches.update(simulation.last.x)
         d_fwd, d_rev = self._matches.distances()
         original = np.argsort(order)
@@ -124,6 +125,11 @@ class Physics(Method):
             "failed_steps": float(report.failed),
             "dt": report.dt,
         }
+
+
+def two_sided(forward: NDArray[np.float64], reverse: NDArray[np.float64]) -> float:
+    """Root of the sum of both mean squared distances [dx] (algorithm 9)."""
+    return float(np.sqrt(np.mean(forward**2) + np.mean(reverse**2)))
 
 
 def grid_geometry(config: MorphConfig) -> Geometry:
