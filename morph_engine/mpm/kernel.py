@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import taichi as ti
 
+from morph_engine.backend import CPU_CHUNK_COUNT
+from morph_engine.errors import ConfigError
+
 PADDING = 2
 LARGEST_INDEX = 2**27 - 1  # of a node, all private grids together
 
@@ -26,6 +29,18 @@ class Geometry:
     dx: float = 1.0
     half_extent: float = 16.0
     width: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse a grid whose node numbers do not fit.
+
+        Raises:
+            ConfigError: The private grids hold more than `LARGEST_INDEX` nodes.
+        """
+        if self.node_count * CPU_CHUNK_COUNT > LARGEST_INDEX:
+            raise ConfigError(
+                f"A grid of {self.nodes} nodes per axis is too large.",
+                "Use a larger grid spacing or a smaller domain.",
+            )
 
     @property
     def nodes(self) -> int:
@@ -192,8 +207,8 @@ def in_memory(offset):
 
 
 @ti.func
-def lanes(sums: ti.template(), memory: int):
-    """The first three sums."""
+def vector(sums: ti.template(), memory: int):
+    """The first three sums as a vector."""
     return ti.Vector([sums[memory, 0], sums[memory, 1], sums[memory, 2]])
 
 

@@ -28,16 +28,6 @@ def zero4():
     return ti.Vector.zero(float, 4)
 
 
-@ti.kernel
-def clear(
-    x: ti.types.ndarray(), v: ti.types.ndarray(), C: ti.types.ndarray(), F: ti.types.ndarray()
-):
-    """Set a particle state to zero."""
-    for p in range(x.shape[0]):
-        x[p], v[p] = ti.zero(x[p]), ti.zero(v[p])
-        C[p], F[p] = ti.zero(C[p]), ti.zero(F[p])
-
-
 @ti.func
 def append(a, b: float):
     """(a, b): a vector and a number as one vector of four."""
@@ -127,6 +117,16 @@ def gather_chunks(
             if planes[c][0] <= plane and plane <= planes[c][1]:
                 total += partial[c * geometry.node_count + i]
     return total
+
+
+@ti.kernel
+def clear(
+    x: ti.types.ndarray(), v: ti.types.ndarray(), C: ti.types.ndarray(), F: ti.types.ndarray()
+):
+    """Set a particle state to zero."""
+    for p in range(x.shape[0]):
+        x[p], v[p] = ti.zero(x[p]), ti.zero(v[p])
+        C[p], F[p] = ti.zero(C[p]), ti.zero(F[p])
 
 
 @ti.kernel
@@ -228,16 +228,7 @@ def particles_to_grid_adjoint(
                 nu = v_bar[p] + dt * x_bar[p]
                 A = F[p] + U[p]
                 Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar[p] @ A.transpose())
-                scatter(
-                    partial,
-                    offset,
-                    x[p],
-                    nu,
-                    affine * Gamma,
-                    0.0,
-                    geometry,
-                    atomic,
-                )
+                scatter(partial, offset, x[p], nu, affine * Gamma, 0.0, geometry, atomic)
     for i in range(geometry.node_count):
         v_node = grid[i]
         if v_node.w > SMALLEST_MASS:
@@ -279,22 +270,22 @@ def grid_to_particles(
         wz = kernel.weights(u.z, width)
         corner = kernel.flat_index(base, geometry)
         # Sums over x and y of w v, w v dx and w v dy, for each z separately.
-        row = kernel.in_memory(u)
+        memory = kernel.in_memory(u)
         flow = kernel.zero_sums(4 * width)
         flow_x, flow_y = kernel.zero_sums(4 * width), kernel.zero_sums(4 * width)
         for i in range(width):
             plane, plane_y = kernel.plane_moments(grid, corner, i, wy, geometry)
-            kernel.accumulate(flow, row, wx[i], plane)
-            kernel.accumulate(flow_x, row, wx[i] * (i - u.x), plane)
-            kernel.accumulate(flow_y, row, wx[i], plane_y)
+            kernel.accumulate(flow, memory, wx[i], plane)
+            kernel.accumulate(flow_x, memory, wx[i] * (i - u.x), plane)
+            kernel.accumulate(flow_y, memory, wx[i], plane_y)
         v, by_x = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
         by_y, by_z = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
         for k in ti.static(range(width)):
             for c in ti.static(range(3)):
-                weighted = wz[k] * flow[row, 4 * k + c]
+                weighted = wz[k] * flow[memory, 4 * k + c]
                 v[c] += weighted
-                by_x[c] += wz[k] * flow_x[row, 4 * k + c]
-                by_y[c] += wz[k] * flow_y[row, 4 * k + c]
+                by_x[c] += wz[k] * flow_x[memory, 4 * k + c]
+                by_y[c] += wz[k] * flow_y[memory, 4 * k + c]
                 by_z[c] += (k - 1) * weighted
         by_y -= (u.y - 1) * v
         by_z -= (u.z - 1) * v
@@ -383,7 +374,7 @@ def grid_to_particles_adjoint(
         center = join(momentum, mass, nu) - (u.z - 1) * by_z
 
         # q = sum w Pi_bar, Q = sum w Pi_bar (x) d, e = sum grad w (scalar of the node)
-        row = kernel.in_memory(u)
+        memory = kernel.in_memory(u)
         sum_q, sum_x, sum_y, sum_z = [kernel.zero_sums(8) for _ in range(4)]
         e_x, e_y, e_z = [kernel.zero_sums(8) for _ in range(3)]
         for i in range(width):
@@ -394,30 +385,27 @@ def grid_to_particles_adjoint(
                 affine_ij = center + by_x * (i - u.x) + by_y * (j - u.y)
                 scalar = line * affine_ij + line_z * by_z
                 w = wx[i] * wy[j]
-                kernel.accumulate(sum_q, row, w, line)
-                kernel.accumulate(sum_x, row, w * (i - u.x), line)
-                kernel.accumulate(sum_y, row, w * (j - u.y), line)
-                kernel.accumulate(sum_z, row, w, line_z)
-                kernel.accumulate(e_x, row, gx[i] * wy[j], scalar)
-                kernel.accumulate(e_y, row, wx[i] * gy[j], scalar)
-                kernel.accumulate(e_z, row, w, slope * affine_ij + slope_z * by_z)
-        q = kernel.lanes(sum_q, row)
-        Q = dx * ti.Matrix.cols(
-            [
-                kernel.lanes(sum_x, row),
-                kernel.lanes(sum_y, row),
-                kernel.lanes(sum_z, row) - (u.z - 1) * q,
-            ]
+                kernel.accumulate(sum_q, memory, w, line)
+                kernel.accumulate(sum_x, memory, w * (i - u.x), line)
+                kernel.accumulate(sum_y, memory, w * (j - u.y), line)
+                kernel.accumulate(sum_z, memory, w, line_z)
+                kernel.accumulate(e_x, memory, gx[i] * wy[j], scalar)
+                kernel.accumulate(e_y, memory, wx[i] * gy[j], scalar)
+                kernel.accumulate(e_z, memory, w, slope * affine_ij + slope_z * by_z)
+        q = kernel.vector(sum_q, memory)
+        Q_x, Q_y = kernel.vector(sum_x, memory), kernel.vector(sum_y, memory)
+        Q_z = kernel.vector(sum_z, memory) - (u.z - 1) * q
+        Q = dx * ti.Matrix.cols([Q_x, Q_y, Q_z])
+        e = ti.Vector(
+            [kernel.total(e_x, memory), kernel.total(e_y, memory), kernel.total(e_z, memory)]
         )
-        e = ti.Vector([kernel.total(e_x, row), kernel.total(e_y, row), kernel.total(e_z, row)]) / dx
 
         T_bar = (-affine * dt * volume[p]) * Q
         C_new = C_next[p]
-        A_bar = kirchhoff_stress_adjoint(A, R[p], T_bar, lame_lambda, lame_mu, model) + (
-            1 - smoothing
-        ) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
+        A_bar = kirchhoff_stress_adjoint(A, R[p], T_bar, lame_lambda, lame_mu, model)
+        A_bar += (1 - smoothing) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
         x_bar[p] = decay * (
-            x_bar[p] + e - B.transpose() @ q - affine * (Gamma.transpose() @ v_next[p])
+            x_bar[p] + e / dx - B.transpose() @ q - affine * (Gamma.transpose() @ v_next[p])
         )
         v_bar[p] = decay * (1 - dt * drag) * mass * q
         C_bar[p] = decay * mass * Q
