@@ -283,7 +283,7 @@ def validated(tree: Mapping[str, Any]) -> MorphConfig:
         given = f"{path} = {first['input']!r}: " if path else ""
         raise ConfigError(
             f"The configuration is not valid: {given}{message[0].lower()}{message[1:]}.",
-            _remedy(path, first),
+            _remedy(first),
         ) from None
 
 
@@ -310,9 +310,9 @@ def _parsed(value: Any) -> Any:
     return text
 
 
-def _remedy(path: str, error: Any) -> str:
+def _remedy(error: Any) -> str:
     if "time.dt" in error["msg"]:
         return "Lower time.dt, or soften the material or coarsen the grid."
     if "expected" in error.get("ctx", {}):
         return f"Choose one of {error['ctx']['expected']}."
-    return f"See `morph presets --describe {path.split('.')[0]}` for its meaning and range."
+    return "See `morph presets fast` for the meaning and range of every setting."

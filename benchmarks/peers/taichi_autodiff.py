@@ -4,8 +4,9 @@ A straightforward differentiable step: atomic scatter, one grid and one particle
 in whatever Taichi runtime the engine has started; an `AutodiffSweep` must not outlive it.
 
 No kernel here has a dynamic inner loop: through one, Taichi 1.7 returns wrong gradients without a
-word (and overflows its stack beyond 32 rounds). Unrolling the whole stencil compiles for minutes,
-so the parallel loop runs over (particle, i, j) and only k is unrolled.
+word (and overflows its stack beyond 32 rounds), and unrolling the whole stencil compiles for
+minutes. So the parallel loop runs over all pairs of particle and node; the quicker form `by_rows`
+runs over (particle, i, j) and unrolls k.
 """
 
 from typing import Any
@@ -40,7 +41,11 @@ class AutodiffSweep:
 
     name = "Taichi autodiff"
 
-    def __init__(self, scene: Scene, pull: NDArray[np.float32], step_count: int) -> None:
+    def __init__(
+        self, scene: Scene, pull: NDArray[np.float32], step_count: int, *, by_rows: bool = False
+    ) -> None:
+        self._to_grid = particles_to_grid_by_rows if by_rows else particles_to_grid
+        self._to_particles = grid_to_particles_by_rows if by_rows else grid_to_particles
         count, shape = scene.particle_count, 3 * (NODES_PER_AXIS,)
         self.mass = scene.mass
         self.volume = ti.ndarray(ti.f32, count)
@@ -74,9 +79,9 @@ class AutodiffSweep:
             for k, (momentum, mass, velocity) in enumerate(self.grids):
                 (x, v, C, F), (x_next, v_next, C_next, F_next) = self.layers[k : k + 2]
                 affine_momentum(C, F, self.U[k], self.volume, self.mass, self.B[k])
-                particles_to_grid(x, v, self.B[k], self.mass, momentum, mass)
+                self._to_grid(x, v, self.B[k], self.mass, momentum, mass)
                 grid_velocity(momentum, mass, velocity)
-                grid_to_particles(x, velocity, v_next, C_next)
+                self._to_particles(x, velocity, v_next, C_next)
                 move(x, F, self.U[k], v_next, C_next, x_next, F_next)
             pulled(self.layers[-1][0], self.pull, self.loss)
 
@@ -135,6 +140,25 @@ def particles_to_grid(
     grid_momentum: GridVectors,
     grid_mass: GridScalars,
 ):
+    for p, i, j, k in ti.ndrange(x.shape[0], 4, 4, 4):
+        u = x[p] - GRID_MIN
+        base = base_of(u)
+        node = base + ti.Vector([i, j, k])
+        d = node - u
+        weight = cubic(d[0]) * cubic(d[1]) * cubic(d[2])
+        grid_momentum[node] += weight * ((1 - DT * DRAG) * mass * v[p] + B[p] @ d)
+        grid_mass[node] += weight * mass
+
+
+@ti.kernel
+def particles_to_grid_by_rows(
+    x: Vectors,
+    v: Vectors,
+    B: Matrices,
+    mass: ti.f32,
+    grid_momentum: GridVectors,
+    grid_mass: GridScalars,
+):
     for p, i, j in ti.ndrange(x.shape[0], 4, 4):
         u = x[p] - GRID_MIN
         base = base_of(u)
@@ -155,6 +179,22 @@ def grid_velocity(momentum: GridVectors, mass: GridScalars, velocity: GridVector
 
 @ti.kernel
 def grid_to_particles(x: Vectors, grid: GridVectors, v_next: Vectors, C_next: Matrices):
+    for p, i, j, k in ti.ndrange(x.shape[0], 4, 4, 4):
+        u = x[p] - GRID_MIN
+        base = base_of(u)
+        v = ti.Vector.zero(ti.f32, 3)
+        C = ti.Matrix.zero(ti.f32, 3, 3)
+        node = base + ti.Vector([i, j, k])
+        d = node - u
+        share = cubic(d[0]) * cubic(d[1]) * cubic(d[2]) * grid[node]
+        v += share
+        C += INERTIA * share.outer_product(d)
+        v_next[p] += v
+        C_next[p] += C
+
+
+@ti.kernel
+def grid_to_particles_by_rows(x: Vectors, grid: GridVectors, v_next: Vectors, C_next: Matrices):
     for p, i, j in ti.ndrange(x.shape[0], 4, 4):
         u = x[p] - GRID_MIN
         base = base_of(u)
