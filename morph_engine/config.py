@@ -89,9 +89,13 @@ class SmoothingConfig(_Section):
 
     values: tuple[Fraction, ...] = Field((0.88, 0.90, 0.92), description="s, phase by phase.")
     first_frames: tuple[int, ...] = Field((0, 10, 30), description="First frame of each phase.")
-    late_value: Fraction | None = Field(0.7, description="s once Chamfer is established; None off.")
-    late_frame: int = Field(15, ge=0, description="Frame from which `late_value` holds.")
-    late_for_physics: bool = Field(False, description="Use `late_value` without Chamfer as well.")
+    late_value: Fraction = Field(0.7, description="s once the matter has arrived.")
+    late_frame: int | None = Field(
+        15, ge=0, description="Frame from which `late_value` holds with Chamfer; None never."
+    )
+    late_frame_physics: int | None = Field(
+        None, ge=0, description="The same without Chamfer; None never."
+    )
 
     @model_validator(mode="after")
     def _phases_ascend(self) -> SmoothingConfig:

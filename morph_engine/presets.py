@@ -37,6 +37,7 @@ _PAPER: dict[str, Any] = {
 # The quickest settings that end no worse than the published ones; measured in docs/presets.md.
 _FAST: dict[str, Any] = {
     "material": {"drag": 4.0},
+    "smoothing": {"late_frame_physics": 12},
     "adjoint": {"drop_smoothing": True},
     "optimizer": {"layers_per_step": 3, "passes": 2, "step": 0.006, "far_distance": 0.5},
 }

@@ -55,8 +55,8 @@ def _physics_weight(config: MorphConfig, frame: int) -> float:
 
 def _smoothing(config: MorphConfig, frame: int, with_chamfer: bool) -> float:
     s = config.smoothing
-    late = with_chamfer or s.late_for_physics
-    if s.late_value is not None and late and frame >= s.late_frame:
+    late = s.late_frame if with_chamfer else s.late_frame_physics
+    if late is not None and frame >= late:
         return s.late_value
     phase = sum(start <= frame for start in s.first_frames) - 1
     return s.values[phase]

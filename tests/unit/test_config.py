@@ -21,9 +21,9 @@ def test_presets_survive_storage(name: str) -> None:
 
 def test_overrides_reach_their_field() -> None:
     """Dotted paths, typed as on a command line."""
-    config = configure("fast", {"chamfer.weight": "5", "smoothing.late_value": "none"})
+    config = configure("fast", {"chamfer.weight": "5", "smoothing.late_frame": "none"})
     assert config.chamfer.weight == 5
-    assert config.smoothing.late_value is None
+    assert config.smoothing.late_frame is None
     config = configure("fast", {"smoothing.values": ".9", "smoothing.first_frames": "0,"})
     assert config.smoothing.values == (0.9,)
 
