@@ -83,9 +83,9 @@ class Backend:
         """A zeroed device array of int32, shape [count]."""
         return _zeroed(ti.ndarray(ti.i32, count))
 
-    def integer_pairs(self, count: int) -> Any:
-        """A zeroed device array of int32 pairs, shape [count, 2]."""
-        return _zeroed(ti.Vector.ndarray(2, ti.i32, count))
+    def integer_vectors(self, count: int, width: int) -> Any:
+        """A zeroed device array of int32 vectors, shape [count, width]."""
+        return _zeroed(ti.Vector.ndarray(width, ti.i32, count))
 
     def vectors(self, count: int, width: int = 3) -> Any:
         """A zeroed device array of real vectors, shape [count, width]."""

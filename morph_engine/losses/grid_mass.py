@@ -10,7 +10,7 @@ from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import kernel
 from morph_engine.mpm.kernel import Geometry
-from morph_engine.mpm.transfer import chunk_bounds, claim_planes, gather_chunks
+from morph_engine.mpm.transfer import chunk_bounds, claim_rows, claimants, gather_chunks
 
 SHIFT = 1.0 + 1e-4  # 1 + eps inside the logarithms
 SMALLEST_MASS = 1e-12
@@ -32,14 +32,15 @@ class GridMass:
         self._chunk_count, self._chunk_size, _ = device.chunks(point_count)
         grids = self._chunk_count if device.on_cpu else 1
         self._partial = device.scalars(grids * geometry.node_count)
-        self._planes = device.integer_pairs(grids)
+        self._claims = device.integer_vectors(grids, 4)
+        self._holders = device.integers(geometry.nodes**2)
         self.nodes = device.scalars(geometry.node_count)
 
     def gather(self, x: Any) -> Any:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
         _mass_to_grid(
-            x, self._partial, self._planes, self.nodes, self.point_count, self.point_mass,
-            self._chunk_count, self._chunk_size, self.geometry, self._atomic,
+            x, self._partial, self._claims, self._holders, self.nodes, self.point_count,
+            self.point_mass, self._chunk_count, self._chunk_size, self.geometry, self._atomic,
         )  # fmt: skip
         return self.nodes
 
@@ -95,7 +96,8 @@ class GridMassLoss:
 def _mass_to_grid(
     x: ti.types.ndarray(),
     partial: ti.types.ndarray(),
-    planes: ti.types.ndarray(),
+    claims: ti.types.ndarray(),
+    holders: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     count: int,
     point_mass: float,
@@ -116,7 +118,7 @@ def _mass_to_grid(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
+                offset = claim_rows(chunk, first, last, x, claims, partial, geometry)
             for p in range(first, last):
                 base, u = kernel.base_and_offset(x[p], geometry)
                 wx = kernel.weights(u.x, width)
@@ -134,8 +136,11 @@ def _mass_to_grid(
                             total = ti.Vector([partial[first + k] for k in range(width)]) + share
                             for k in ti.static(range(width)):
                                 partial[first + k] = total[k]
+    if ti.static(not atomic):
+        for row in range(geometry.nodes**2):
+            holders[row] = claimants(row, claims, chunk_count, geometry)
     for i in range(geometry.node_count):
-        total = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
+        total = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
         mass[i] = total if total != 0 and kernel.is_inside(i, geometry) else 0.0
 
 

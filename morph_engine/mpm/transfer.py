@@ -47,27 +47,41 @@ def chunk_bounds(chunk: int, chunk_size: int, count: int):
 
 
 @ti.func
-def claim_planes(
+def claim_rows(
     chunk: int,
     first: int,
     last: int,
     x: ti.template(),
-    planes: ti.template(),
+    claims: ti.template(),
     partial: ti.template(),
     geometry: ti.template(),
 ):
-    """Clear the x planes of a chunk's private grid that its points reach; returns its offset."""
+    """Clear the rows of a chunk's private grid that its points reach; returns its offset."""
     nodes, width = ti.static(geometry.nodes, geometry.width)
-    low, high = nodes, -1
+    low, high = ti.Vector([nodes, nodes]), ti.Vector([-1, -1])
     for p in range(first, last):
         base, _ = kernel.base_and_offset(x[p], geometry)
-        low = ti.min(low, base.x)
-        high = ti.max(high, base.x + width - 1)
-    planes[chunk] = ti.Vector([low, high])
+        low = ti.min(low, base.xy)
+        high = ti.max(high, base.xy + width - 1)
+    claims[chunk] = ti.Vector([low.x, high.x, low.y, high.y])
     offset = chunk * nodes**3
-    for i in range(offset + low * nodes**2, offset + (high + 1) * nodes**2):
-        partial[i] = ti.zero(partial[i])
+    for i in range(low.x, high.x + 1):
+        plane = offset + i * nodes**2
+        for node in range(plane + low.y * nodes, plane + (high.y + 1) * nodes):
+            partial[node] = ti.zero(partial[node])
     return offset
+
+
+@ti.func
+def claimants(row: int, claims: ti.template(), chunk_count: int, geometry: ti.template()):
+    """The chunks that claimed a row of nodes along z, as bits."""
+    x, y = row // geometry.nodes, row % geometry.nodes
+    chunks = 0
+    for chunk in range(chunk_count):
+        claim = claims[chunk]
+        if claim[0] <= x and x <= claim[1] and claim[2] <= y and y <= claim[3]:
+            chunks |= 1 << chunk
+    return chunks
 
 
 @ti.func
@@ -102,20 +116,21 @@ def scatter(
 @ti.func
 def gather_chunks(
     i: int,
-    planes: ti.template(),
+    holders: ti.template(),
     partial: ti.template(),
     chunk_count: int,
     geometry: ti.template(),
     atomic: ti.template(),
 ):
-    """Sum node i over the private grids that hold its plane, in the order of the chunks."""
+    """Sum node i over the private grids that hold its row, in the order of the chunks."""
     total = partial[i]
     if ti.static(not atomic):
         total = ti.zero(total)
-        plane = i // ti.static(geometry.nodes**2)
-        for c in range(chunk_count):
-            if planes[c][0] <= plane and plane <= planes[c][1]:
-                total += partial[c * geometry.node_count + i]
+        chunks = holders[i // geometry.nodes]
+        if chunks != 0:
+            for chunk in range(chunk_count):
+                if chunks >> chunk & 1:
+                    total += partial[chunk * geometry.node_count + i]
     return total
 
 
@@ -139,7 +154,8 @@ def particles_to_grid(
     R: ti.types.ndarray(),
     volume: ti.types.ndarray(),
     partial: ti.types.ndarray(),
-    planes: ti.types.ndarray(),
+    claims: ti.types.ndarray(),
+    holders: ti.types.ndarray(),
     grid: ti.types.ndarray(),
     count: int,
     mass: float,
@@ -168,7 +184,7 @@ def particles_to_grid(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
+                offset = claim_rows(chunk, first, last, x, claims, partial, geometry)
             for p in range(first, last):
                 A = F[p] + U[p]
                 if ti.static(model == FIXED_COROTATED):
@@ -177,8 +193,11 @@ def particles_to_grid(
                 B = (-affine * dt * volume[p]) * T + mass * C[p]
                 momentum = (1 - dt * drag) * mass * v[p]
                 scatter(partial, offset, x[p], momentum, B, mass, geometry, atomic)
+    if ti.static(not atomic):
+        for row in range(geometry.nodes**2):
+            holders[row] = claimants(row, claims, chunk_count, geometry)
     for i in range(geometry.node_count):
-        node = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
+        node = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
         m = node.w
         if m > SMALLEST_MASS and kernel.is_inside(i, geometry):
             grid[i] = append(node.xyz / m, m)
@@ -196,7 +215,8 @@ def particles_to_grid_adjoint(
     C_bar: ti.types.ndarray(),
     F_bar: ti.types.ndarray(),
     partial: ti.types.ndarray(),
-    planes: ti.types.ndarray(),
+    claims: ti.types.ndarray(),
+    holders: ti.types.ndarray(),
     grid: ti.types.ndarray(),
     grid_bar: ti.types.ndarray(),
     count: int,
@@ -223,16 +243,19 @@ def particles_to_grid_adjoint(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_planes(chunk, first, last, x, planes, partial, geometry)
+                offset = claim_rows(chunk, first, last, x, claims, partial, geometry)
             for p in range(first, last):
                 nu = v_bar[p] + dt * x_bar[p]
                 A = F[p] + U[p]
                 Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar[p] @ A.transpose())
                 scatter(partial, offset, x[p], nu, affine * Gamma, 0.0, geometry, atomic)
+    if ti.static(not atomic):
+        for row in range(geometry.nodes**2):
+            holders[row] = claimants(row, claims, chunk_count, geometry)
     for i in range(geometry.node_count):
         v_node = grid[i]
         if v_node.w > SMALLEST_MASS:
-            node = gather_chunks(i, planes, partial, chunk_count, geometry, atomic)
+            node = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
             Pi_bar = node.xyz / v_node.w
             M_bar = -v_node.xyz.dot(Pi_bar)
             grid_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
