@@ -27,11 +27,11 @@ def backward_to_forward(repeats: int) -> Row:
     """Cost of a backward step in forward steps."""
     scene = ball()
     ours = EngineStep(scene, STEP_COUNT)
-    gradient = random_pull(scene.particle_count)
+    ours.hold(random_pull(scene.particle_count))
     costs = in_turns(
         {"forward": ours.advance, "backward": ours.sweep_back},
         repeats,
-        before_each=lambda: ours.pull(gradient),
+        before_each=ours.pull,
     )
     forward, backward = (
         1e9 * costs[name].cpu / scene.particle_count / STEP_COUNT
@@ -54,9 +54,11 @@ def against_autodiff(repeats: int, *, by_rows: bool = False) -> Row:
     ours = EngineStep(scene, STEP_COUNT)
     peer = AutodiffSweep(scene, gradient, STEP_COUNT, by_rows=by_rows)
 
+    ours.hold(gradient)
+
     def there_and_back() -> None:
         ours.advance()
-        ours.pull(gradient)
+        ours.pull()
         ours.sweep_back()
 
     there_and_back()

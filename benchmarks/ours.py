@@ -60,11 +60,14 @@ class EngineStep:
         last = self.simulation.last.download().permuted(self._original)
         return Layer(last.x, last.v, last.C, last.F)
 
-    def pull(self, gradient: NDArray[np.float32]) -> None:
-        """Set the adjoint state: `gradient` on the last positions, zero on the rest."""
-        bar = self.simulation.bar
-        bar.clear()
-        bar.x.from_numpy(np.ascontiguousarray(gradient[np.argsort(self._original)]))
+    def hold(self, gradient: NDArray[np.float32]) -> None:
+        """Keep a gradient by the last positions on the device, for `pull`."""
+        self._gradient = backend.active().upload(gradient[np.argsort(self._original)])
+
+    def pull(self) -> None:
+        """Set the adjoint state: the held gradient on the last positions, zero on the rest."""
+        self.simulation.bar.clear()
+        self.simulation.bar.x.copy_from(self._gradient)
 
     def sweep_back(self) -> None:
         """Adjoint of all transitions; `pull` sets what it starts from."""

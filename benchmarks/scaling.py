@@ -38,11 +38,11 @@ def measure(quick: bool) -> list[Row]:
 
 def there_and_back(engine: EngineStep, particle_count: int) -> Callable[[], None]:
     """One step forward and back."""
-    gradient = random_pull(particle_count)
+    engine.hold(random_pull(particle_count))
 
     def action() -> None:
         engine.advance()
-        engine.pull(gradient)
+        engine.pull()
         engine.sweep_back()
 
     return action

@@ -84,10 +84,10 @@ def search_cells(
         query = np.repeat(some, count[some])
         distance = np.linalg.norm(queries[query] - points[candidate], axis=1)
         nearest = np.minimum.reduceat(distance, starts)
+        at_minimum = np.flatnonzero(distance == np.repeat(nearest, count[some]))
+        _, first_of_query = np.unique(query[at_minimum], return_index=True)
+        found = candidate[at_minimum[first_of_query]]
         better = nearest < best_distance[some]
-        for which in np.flatnonzero(better):
-            end = starts[which] + count[some][which]
-            at = starts[which] + int(np.argmin(distance[starts[which] : end]))
-            best_index[some[which]] = candidate[at]
-            best_distance[some[which]] = distance[at]
+        best_index[some[better]] = found[better]
+        best_distance[some[better]] = nearest[better]
     return best_index, best_distance
