@@ -66,15 +66,16 @@ def search_cells(
     def key(cell: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.asarray((cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2])
 
-    order = np.argsort(key(cells(points)), kind="stable")
-    sorted_keys = key(cells(points))[order]
+    keys = key(cells(points))
+    order = np.argsort(keys, kind="stable")
+    counts = np.bincount(keys, minlength=side**3)
+    starts_of_cells = np.cumsum(counts) - counts
     home = cells(queries)
     best_index = np.full(len(queries), -1, np.int32)
     best_distance = np.full(len(queries), np.inf)
     for offset in np.ndindex(3, 3, 3):
         cell = key(home + np.array(offset) - 1)
-        first = np.searchsorted(sorted_keys, cell, "left")
-        count = np.searchsorted(sorted_keys, cell, "right") - first
+        first, count = starts_of_cells[cell], counts[cell]
         some = np.flatnonzero(count)
         if not len(some):
             continue
