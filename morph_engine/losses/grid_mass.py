@@ -33,13 +33,12 @@ class GridMass:
         grids = self._chunk_count if device.on_cpu else 1
         self._partial = device.scalars(grids * geometry.node_count)
         self._claims = device.integer_vectors(grids, 4)
-        self._holders = device.integers(geometry.nodes**2)
         self.nodes = device.scalars(geometry.node_count)
 
     def gather(self, x: Any) -> Any:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
         _mass_to_grid(
-            x, self._partial, self._claims, self._holders, self.nodes, self.point_count,
+            x, self._partial, self._claims, self.nodes, self.point_count,
             self.point_mass, self._chunk_count, self._chunk_size, self.geometry, self._atomic,
         )  # fmt: skip
         return self.nodes
@@ -97,7 +96,6 @@ def _mass_to_grid(
     x: ti.types.ndarray(),
     partial: ti.types.ndarray(),
     claims: ti.types.ndarray(),
-    holders: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     count: int,
     point_mass: float,
@@ -136,12 +134,12 @@ def _mass_to_grid(
                             total = ti.Vector([partial[first + k] for k in range(width)]) + share
                             for k in ti.static(range(width)):
                                 partial[first + k] = total[k]
-    if ti.static(not atomic):
-        for row in range(geometry.nodes**2):
-            holders[row] = claimants(row, claims, chunk_count, geometry)
-    for i in range(geometry.node_count):
-        total = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
-        mass[i] = total if total != 0 and kernel.is_inside(i, geometry) else 0.0
+    for row in range(geometry.nodes**2):
+        chunks = claimants(row, claims, chunk_count, geometry, atomic)
+        for i in range(row * geometry.nodes, (row + 1) * geometry.nodes):
+            mass[i] = 0.0
+            if chunks != 0 and kernel.is_inside(i, geometry):
+                mass[i] = gather_chunks(i, chunks, partial, chunk_count, geometry, atomic)
 
 
 @ti.kernel

@@ -115,7 +115,7 @@ class Simulation:
             here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
             transfer.particles_to_grid(
                 here.x, here.v, here.C, here.F, step.U, step.R, self.volume,
-                scratch.partial, scratch.claims, scratch.holders, step.grid,
+                scratch.partial, scratch.claims, step.grid,
                 self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
                 scratch.chunk_count, scratch.chunk_size, self.geometry, p.model, scratch.atomic,
             )  # fmt: skip
@@ -143,7 +143,7 @@ class Simulation:
             here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
             transfer.particles_to_grid_adjoint(
                 here.x, here.F, step.U, bar.x, bar.v, bar.C, bar.F,
-                scratch.partial, scratch.claims, scratch.holders, step.grid, self._grid_bar,
+                scratch.partial, scratch.claims, step.grid, self._grid_bar,
                 self.particle_count, factor, self.dt,
                 scratch.chunk_count, scratch.chunk_size, self.geometry, scratch.atomic,
             )  # fmt: skip
@@ -166,7 +166,6 @@ class GridScratch:
         grids = self.chunk_count if device.on_cpu else 1
         self.partial = device.vectors(grids * geometry.node_count, 4)
         self.claims = device.integer_vectors(grids, 4)
-        self.holders = device.integers(geometry.nodes**2)
 
 
 __all__ = [

@@ -73,14 +73,22 @@ def claim_rows(
 
 
 @ti.func
-def claimants(row: int, claims: ti.template(), chunk_count: int, geometry: ti.template()):
-    """The chunks that claimed a row of nodes along z, as bits."""
-    x, y = row // geometry.nodes, row % geometry.nodes
-    chunks = 0
-    for chunk in range(chunk_count):
-        claim = claims[chunk]
-        if claim[0] <= x and x <= claim[1] and claim[2] <= y and y <= claim[3]:
-            chunks |= 1 << chunk
+def claimants(
+    row: int,
+    claims: ti.template(),
+    chunk_count: int,
+    geometry: ti.template(),
+    atomic: ti.template(),
+):
+    """The chunks that claimed a row of nodes along z, as bits; 0 where no particle reaches."""
+    chunks = 1
+    if ti.static(not atomic):
+        x, y = row // geometry.nodes, row % geometry.nodes
+        chunks = 0
+        for chunk in range(chunk_count):
+            claim = claims[chunk]
+            if claim[0] <= x and x <= claim[1] and claim[2] <= y and y <= claim[3]:
+                chunks |= 1 << chunk
     return chunks
 
 
@@ -116,21 +124,19 @@ def scatter(
 @ti.func
 def gather_chunks(
     i: int,
-    holders: ti.template(),
+    chunks: int,
     partial: ti.template(),
     chunk_count: int,
     geometry: ti.template(),
     atomic: ti.template(),
 ):
-    """Sum node i over the private grids that hold its row, in the order of the chunks."""
+    """Sum node i over the private grids of the chunks given as bits, in their order."""
     total = partial[i]
     if ti.static(not atomic):
         total = ti.zero(total)
-        chunks = holders[i // geometry.nodes]
-        if chunks != 0:
-            for chunk in range(chunk_count):
-                if chunks >> chunk & 1:
-                    total += partial[chunk * geometry.node_count + i]
+        for chunk in range(chunk_count):
+            if chunks >> chunk & 1:
+                total += partial[chunk * geometry.node_count + i]
     return total
 
 
@@ -155,7 +161,6 @@ def particles_to_grid(
     volume: ti.types.ndarray(),
     partial: ti.types.ndarray(),
     claims: ti.types.ndarray(),
-    holders: ti.types.ndarray(),
     grid: ti.types.ndarray(),
     count: int,
     mass: float,
@@ -193,16 +198,16 @@ def particles_to_grid(
                 B = (-affine * dt * volume[p]) * T + mass * C[p]
                 momentum = (1 - dt * drag) * mass * v[p]
                 scatter(partial, offset, x[p], momentum, B, mass, geometry, atomic)
-    if ti.static(not atomic):
-        for row in range(geometry.nodes**2):
-            holders[row] = claimants(row, claims, chunk_count, geometry)
-    for i in range(geometry.node_count):
-        node = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
-        m = node.w
-        if m > SMALLEST_MASS and kernel.is_inside(i, geometry):
-            grid[i] = append(node.xyz / m, m)
-        else:
-            grid[i] = zero4()
+    for row in range(geometry.nodes**2):
+        chunks = claimants(row, claims, chunk_count, geometry, atomic)
+        if chunks != 0:  # no other row is ever read
+            for i in range(row * geometry.nodes, (row + 1) * geometry.nodes):
+                node = gather_chunks(i, chunks, partial, chunk_count, geometry, atomic)
+                m = node.w
+                if m > SMALLEST_MASS and kernel.is_inside(i, geometry):
+                    grid[i] = append(node.xyz / m, m)
+                else:
+                    grid[i] = zero4()
 
 
 @ti.kernel
@@ -216,7 +221,6 @@ def particles_to_grid_adjoint(
     F_bar: ti.types.ndarray(),
     partial: ti.types.ndarray(),
     claims: ti.types.ndarray(),
-    holders: ti.types.ndarray(),
     grid: ti.types.ndarray(),
     grid_bar: ti.types.ndarray(),
     count: int,
@@ -249,18 +253,18 @@ def particles_to_grid_adjoint(
                 A = F[p] + U[p]
                 Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar[p] @ A.transpose())
                 scatter(partial, offset, x[p], nu, affine * Gamma, 0.0, geometry, atomic)
-    if ti.static(not atomic):
-        for row in range(geometry.nodes**2):
-            holders[row] = claimants(row, claims, chunk_count, geometry)
-    for i in range(geometry.node_count):
-        v_node = grid[i]
-        if v_node.w > SMALLEST_MASS:
-            node = gather_chunks(i, holders, partial, chunk_count, geometry, atomic)
-            Pi_bar = node.xyz / v_node.w
-            M_bar = -v_node.xyz.dot(Pi_bar)
-            grid_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
-        else:
-            grid_bar[i] = ti.Vector.zero(float, 8)
+    for row in range(geometry.nodes**2):
+        chunks = claimants(row, claims, chunk_count, geometry, atomic)
+        if chunks != 0:  # no other row is ever read
+            for i in range(row * geometry.nodes, (row + 1) * geometry.nodes):
+                v_node = grid[i]
+                if v_node.w > SMALLEST_MASS:
+                    node = gather_chunks(i, chunks, partial, chunk_count, geometry, atomic)
+                    Pi_bar = node.xyz / v_node.w
+                    M_bar = -v_node.xyz.dot(Pi_bar)
+                    grid_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
+                else:
+                    grid_bar[i] = ti.Vector.zero(float, 8)
 
 
 @ti.kernel
