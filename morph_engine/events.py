@@ -13,7 +13,7 @@ class Event:
     Attributes:
         frame: 0-based frame index.
         kind: "rejected" (trials refused), "restart" (frame begun anew with half the time step),
-            "stopped" (early stopping), "would_stop" (early stopping, had it been on).
+            "stopped" (early stopping).
         message: One sentence.
         data: Numbers behind the message.
     """

@@ -34,7 +34,7 @@ _PAPER: dict[str, Any] = {
     "chamfer": {"normalise": False, "huber_delta": 0.0, "reverse_smoothing": 0.0},
 }
 
-# The quickest settings that end no worse than the published ones; measured in docs/presets.md.
+# Ends within the spread of the published settings in a third of their time; docs/presets.md.
 _FAST: dict[str, Any] = {
     "material": {"drag": 4.0},
     "smoothing": {"late_frame_physics": 12},
