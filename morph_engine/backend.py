@@ -65,15 +65,15 @@ class Backend:
         """The NumPy type of every real number on the device."""
         return np.float64 if self.precision == "float64" else np.float32
 
-    def chunks(self, item_count: int) -> tuple[int, int, int]:
+    def chunks(self, item_count: int) -> tuple[int, int]:
         """Split `item_count` items for a scattering kernel.
 
         Returns:
-            Chunk count, items per chunk, and loop stride between chunks.
+            Chunk count and items per chunk.
         """
         if not self.on_cpu:
-            return item_count, 1, 1
-        return CPU_CHUNK_COUNT, -(-item_count // CPU_CHUNK_COUNT), CPU_CHUNK_STRIDE
+            return item_count, 1
+        return CPU_CHUNK_COUNT, -(-item_count // CPU_CHUNK_COUNT)
 
     def scalars(self, count: int) -> Any:
         """A zeroed device array of reals, shape [count]."""

@@ -29,7 +29,7 @@ class GridMass:
         device = backend.active()
         self.point_count, self.point_mass, self.geometry = point_count, point_mass, geometry
         self._atomic = not device.on_cpu
-        self._chunk_count, self._chunk_size, _ = device.chunks(point_count)
+        self._chunk_count, self._chunk_size = device.chunks(point_count)
         grids = self._chunk_count if device.on_cpu else 1
         self._partial = device.scalars(grids * geometry.node_count)
         self._claims = device.integer_vectors(grids, 4)

@@ -162,7 +162,7 @@ class GridScratch:
     def __init__(self, particle_count: int, geometry: Geometry) -> None:
         device = backend.active()
         self.atomic = not device.on_cpu
-        self.chunk_count, self.chunk_size, _ = device.chunks(particle_count)
+        self.chunk_count, self.chunk_size = device.chunks(particle_count)
         grids = self.chunk_count if device.on_cpu else 1
         self.partial = device.vectors(grids * geometry.node_count, 4)
         self.claims = device.integer_vectors(grids, 4)
