@@ -110,7 +110,7 @@ class Simulation:
             Fault bits (`transfer.NON_FINITE`, ...) of all these steps; 0 when all is well.
         """
         p, scratch = self.physics, self.scratch
-        self._faults.fill(0)
+        self._faults[0] = 0
         for k in range(first, len(self.transitions)):
             here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
             transfer.particles_to_grid(
@@ -124,7 +124,7 @@ class Simulation:
                 self._faults, self.particle_count, self.dt, self.smoothing, self.domain,
                 self.largest_cells_per_step * self.geometry.dx / self.dt, self.geometry,
             )  # fmt: skip
-        return int(self._faults.to_numpy()[0])
+        return int(self._faults[0])
 
     def backward(self, last: int = 0, *, decay: float = 1.0) -> None:
         """Adjoint sweep from the gradient in `self.bar` down to layer `last` (algorithm 4).
