@@ -39,6 +39,9 @@ CHUNK = 1 << 20
 EDGES_PER_DIAGONAL = 40
 HALVING_LIMIT = 400_000
 
+CUTS_PER_FACE = 200
+"""Where cutting long triangles makes this many of each, summing over the whole ones is faster."""
+
 FAST_WINDING_ERROR = 0.02
 """Bound on the error of the fast winding number away from the surface."""
 
@@ -52,14 +55,23 @@ def winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
 
     Returns:
         Winding numbers, shape [n], float64, by libigl's fast tree approximation
-        (Barill et al., "Fast winding numbers for soups and clouds", 2018). It works in float32
-        within, so the mesh is brought to unit size at the origin first.
+        (Barill et al., "Fast winding numbers for soups and clouds", 2018), or exactly where few
+        large triangles make up the mesh. The tree works in float32 within, so the mesh is brought
+        to unit size at the origin first.
     """
     lower, upper = mesh.bounds
     centre, size = (lower + upper) / 2, (upper - lower).max()
     vertices, faces = _without_long_edges(mesh)
+    if len(faces) > CUTS_PER_FACE * len(mesh.faces):
+        return _exact_winding_number(mesh, points)
     queries = (np.asarray(points, np.float64) - centre) / size
     winding = igl.fast_winding_number((vertices - centre) / size, faces, queries)
+    return np.asarray(winding, np.float64)
+
+
+def _exact_winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
+    queries = np.ascontiguousarray(points, np.float64)
+    winding = igl.winding_number(mesh.vertices, mesh.faces.astype(np.int64), queries)
     return np.asarray(winding, np.float64)
 
 
@@ -100,8 +112,7 @@ def inside(mesh: Mesh, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     winding = winding_number(mesh, queries)
     doubtful = np.flatnonzero(np.abs(winding - 0.5) < FAST_WINDING_ERROR)
     if doubtful.size:
-        faces = mesh.faces.astype(np.int64)
-        winding[doubtful] = igl.winding_number(mesh.vertices, faces, queries[doubtful])
+        winding[doubtful] = _exact_winding_number(mesh, queries[doubtful])
     return winding >= 0.5
 
 
