@@ -22,8 +22,8 @@ PEERS = (
     ("forward step vs NumPy float64, tuned", "numpy_step", "NumpyStep", None, None),
 )
 
-STEP_COUNT = 5
-"""Steps a turn: they follow each other as in a run, with what they need in the caches."""
+STEP_COUNT = 9
+"""Steps a turn, as many as a frame has: they follow each other as in a run."""
 
 
 def measure(quick: bool) -> list[Row]:
