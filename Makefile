@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 BENCH_STAMP := $(VENV)/.bench-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format bench lock clean
+.PHONY: help install demo test test-faults lint format bench lock clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -21,11 +21,14 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: install  ## morph a sphere into a star and print the metrics; the morph takes under a minute
-	$(BIN)/morph run sphere star --points-per-cell-edge 2 --frames 12 --force
+demo: install  ## start the service, submit a morph, show its progress, fetch and print the result
+	$(BIN)/python examples/service_demo.py
 
 test: install  ## run the whole test suite
 	$(BIN)/python -m pytest
+
+test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; 10 minutes
+	$(BIN)/python -m pytest -m faults
 
 lint: install  ## style, types and import contracts
 	$(BIN)/ruff check .
@@ -51,4 +54,4 @@ lock:  ## resolve the versions again (needs uv)
 	  --no-header --upgrade --extra bench -c requirements.lock -o requirements-bench.lock pyproject.toml
 
 clean:  ## remove .venv and caches
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf demo-data $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from client import interrupt
+from client import interrupt, job_commands, process_commands, service_commands
 from client.errors import BAD_INPUT, error_document, exit_status, print_json
 from morph_engine.errors import MorphError
 
@@ -22,12 +22,15 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="morph",
     help="Morph one 3D shape into another by differentiable physics.",
-    epilog="Exit status: 0 success, 1 fault of the program (--debug shows the traceback), "
-    "2 bad input, 130 Ctrl-C.",
+    epilog="Exit status: 0 success, 1 a job that failed or a fault of the program (--debug shows "
+    "the traceback), 2 bad input, 3 no answer from the service, 130 Ctrl-C.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+for _commands in (job_commands, process_commands, service_commands):
+    app.add_typer(_commands.app)
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
 
@@ -98,7 +101,7 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Morph SOURCE into TARGET."""
-    from client.run import default_out, parse_overrides
+    from client.arguments import default_out, parse_overrides
     from client.run import run as run_to_end
     from morph_engine.morphing import prepare
     from morph_engine.presets import configure

@@ -65,15 +65,38 @@ class RunDisplay:
     def show(self, frame: Frame) -> None:
         """Show a finished frame."""
         for event in frame.events:
-            self._console.print(Text(event.message))
-        done = frame.index + 1
-        text = losses(frame.metrics)
-        if frame.seconds:  # 0 for the frames of a resumed run that were there already
-            self._recent.append(frame.seconds)
+            self.note(event.message)
+        self.advance(frame.index, frame.metrics, frame.seconds)
+
+    def note(self, text: str) -> None:
+        """Say something that stays."""
+        self._console.print(Text(text))
+
+    def describe(self, text: str, *, done: int | None = None) -> None:
+        """Say what goes on, on a terminal only.
+
+        Args:
+            text: What goes on.
+            done: How much of the whole is finished, if that has changed.
+        """
+        self._progress.update(self._task, description=text, completed=done)
+
+    def advance(self, index: int, metrics: Mapping[str, float], seconds: float) -> None:
+        """Show that a frame is finished.
+
+        Args:
+            index: 0-based frame index.
+            metrics: Its metrics.
+            seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
+        """
+        done = index + 1
+        text = losses(metrics)
+        if seconds:
+            self._recent.append(seconds)
             left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
             text += f"  left {clock(left)}"
         if self._progress.disable:
-            self._console.print(f"frame {frame.index}  {done}/{self._frame_count}  {text}")
+            self._console.print(f"frame {index}  {done}/{self._frame_count}  {text}")
         else:
             self._progress.update(self._task, completed=done, description=text)
 

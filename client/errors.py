@@ -11,6 +11,7 @@ from importlib import metadata
 
 import typer
 
+from client.service_error import ServiceError
 from morph_engine.errors import MorphError
 
 UNEXPECTED, BAD_INPUT = 1, 2
@@ -25,10 +26,13 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         debug: Let an unexpected exception through with its traceback.
 
     Returns:
-        0, or 2 for input a user can mend, 1 for a fault of the program.
+        0, or 2 for input a user can mend, 3 without the service, 1 for a fault of the program.
     """
+    problem: MorphError
     try:
         return command() or 0
+    except ServiceError as error:
+        problem, status = error, error.exit_status
     except MorphError as error:
         problem, status = error, BAD_INPUT
     except typer.TyperException as error:

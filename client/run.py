@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from client.display import RunDisplay
 from client.interrupt import at_interrupt
 from morph_engine import morphing
 from morph_engine.backend import Device
-from morph_engine.errors import ConfigError, ResultError
+from morph_engine.errors import ResultError
 from morph_engine.run_record import Json, RunRecord, software_versions
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
@@ -162,29 +161,6 @@ def rerun_difference(result: Path, summary: Summary) -> float:
         last = min(original.frame_count, again.frame_count) - 1
         difference = original.positions(last) - again.positions(last)
     return float(np.linalg.norm(difference, axis=1).max())
-
-
-def parse_overrides(settings: list[str]) -> dict[str, str]:
-    """Split `path=value` as typed after --set.
-
-    Raises:
-        ConfigError: One has no equals sign.
-    """
-    for setting in settings:
-        if "=" not in setting:
-            raise ConfigError(
-                f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
-            )
-    return dict(setting.split("=", 1) for setting in settings)
-
-
-def default_out(source: str, target: str) -> Path:
-    """The result file of a run that names none: sphere-to-bunny.vtkhdf, where one stands."""
-    return Path(f"{_plain(source)}-to-{_plain(target)}.vtkhdf")
-
-
-def _plain(shape: str) -> str:
-    return re.sub(r"\W+", "-", Path(shape).stem).strip("-") or "shape"
 
 
 def peak_memory() -> float:

@@ -38,6 +38,34 @@ def spool_path(result_path: str | Path) -> Path:
     return Path(f"{result_path}.spool")
 
 
+def finished_frames(result_path: str | Path) -> int:
+    """Number of frames that a run has finished by now; 0 where there is no run."""
+    try:
+        names = [entry.name for entry in spool_path(result_path).iterdir()]
+    except FileNotFoundError:
+        return 0
+    return sum(name.startswith("frame-") and name.endswith(".npz") for name in names)
+
+
+def read_positions(result_path: str | Path, frame: int) -> NDArray[np.float32]:
+    """Positions of one finished frame of a run that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+        frame: Index of the frame, from 0.
+
+    Returns:
+        Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+    Raises:
+        ResultError: The frame is missing or damaged.
+    """
+    path = _frame_path(spool_path(result_path), frame)
+    with _stored(path) as arrays:
+        positions: NDArray[np.float32] = arrays["positions"]
+        return positions
+
+
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
     """The state of a run after one frame.
@@ -289,7 +317,11 @@ class Spool:
         return notes
 
     def _frame_path(self, frame: int) -> Path:
-        return self.path / f"frame-{frame:06d}.npz"
+        return _frame_path(self.path, frame)
+
+
+def _frame_path(spool: Path, frame: int) -> Path:
+    return spool / f"frame-{frame:06d}.npz"
 
 
 def _lock(path: Path) -> BinaryIO:

@@ -1,11 +1,18 @@
-"""What every test shares: the paper's meshes, and a device in the precision a test asks for."""
+"""What every test shares: the paper's meshes, a device in the wanted precision, databases."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import shutil
+import socket
+import subprocess
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
+import psycopg
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,3 +46,82 @@ def float32_device() -> None:
     from morph_engine import backend
 
     backend.start("cpu")
+
+
+POSTGRES = "postgresql://postgres@127.0.0.1:5432/postgres"
+
+
+@pytest.fixture(scope="session")
+def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """URL of a real Postgres server: the one of this machine, else a private one."""
+    if _answers(POSTGRES):
+        yield POSTGRES
+        return
+    with private_postgres(tmp_path_factory.mktemp("postgres")) as server:
+        yield server.url
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def database_url(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A database of the test's own: SQLite (an empty URL) and Postgres."""
+    if request.param == "sqlite":
+        yield ""
+        return
+    server = request.getfixturevalue("postgres")
+    name = f"morph_{uuid.uuid4().hex}"
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f"create database {name}")
+    yield f"{server.rpartition('/')[0]}/{name}"
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(f"drop database {name} with (force)")
+
+
+@dataclass
+class PrivatePostgres:
+    """A Postgres server of a test's own, which may be stopped and started."""
+
+    url: str
+    control: list[str]
+
+    def run(self, action: str) -> None:
+        """Start or stop it."""
+        subprocess.run([*self.control, "-w", action], check=True, stdout=subprocess.DEVNULL)
+
+
+@contextmanager
+def private_postgres(folder: Path) -> Iterator[PrivatePostgres]:
+    """Start a Postgres server in a folder; skips the test where none is installed."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [shutil.which("initdb")]
+    if not found[-1]:
+        pytest.skip("no Postgres answers at 127.0.0.1:5432 and none is installed to start one")
+    programs = Path(found[-1]).parent
+    user = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
+    if user:
+        for path in (folder, *folder.parents[:3]):
+            path.chmod(0o777 if path == folder else 0o755)
+        shutil.chown(folder, "postgres")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    data = folder / "data"
+    quiet = {"check": True, "stdout": subprocess.DEVNULL}
+    subprocess.run(
+        [*user, programs / "initdb", "-D", data, "-A", "trust", "-U", "postgres", "-N"], **quiet
+    )
+    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1"
+    control = [*user, str(programs / "pg_ctl"), "-D", str(data), "-o", options]
+    control += ["-m", "immediate", "-l", str(folder / "log")]
+    server = PrivatePostgres(f"postgresql://postgres@127.0.0.1:{port}/postgres", control)
+    server.run("start")
+    try:
+        yield server
+    finally:
+        server.run("stop")
+
+
+def _answers(url: str) -> bool:
+    try:
+        psycopg.connect(url, connect_timeout=2).close()
+    except psycopg.OperationalError:
+        return False
+    return True

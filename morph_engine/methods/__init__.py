@@ -5,8 +5,11 @@ To add one, write a module with a subclass of `Method` and name the class in `_C
 
 from __future__ import annotations
 
+import ast
 import difflib
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 
 from morph_engine.errors import ConfigError
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
@@ -39,4 +42,23 @@ def find(name: str) -> type[Method]:
     return method
 
 
-__all__ = ["FrameOutcome", "Method", "Problem", "find", "names"]
+def describe(name: str) -> str:
+    """One sentence on a method, read from its source so that Taichi need not be imported.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    if name not in _CLASSES:
+        return find(name).summary()
+    module, _, attribute = _CLASSES[name].partition(":")
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        return find(name).summary()
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef) and node.name == attribute:
+            return (ast.get_docstring(node) or "").partition("\n")[0]
+    return ""
+
+
+__all__ = ["FrameOutcome", "Method", "Problem", "describe", "find", "names"]

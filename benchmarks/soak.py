@@ -1,0 +1,245 @@
+"""Kill the service at random while it works, and count what was lost.
+
+    python -m benchmarks.soak --kills 200 --jobs 40 [--database postgresql://...]
+
+A real `morph serve` computes small jobs that were submitted over HTTP. Again and again one of its
+processes (a worker, an engine, the API, the janitor, the supervisor itself) gets SIGKILL. In the
+end every job must have succeeded once, with the particles of a run that nothing disturbed, and with
+at most one frame computed again for each kill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import numpy as np
+import psutil
+
+from morph_engine.trajectory import Trajectory
+
+KINDS = {
+    "worker": ["worker", "run"],
+    "engine": ["worker.child"],
+    "API": ["server", "api"],
+    "janitor": ["worker", "janitor"],
+    "supervisor": ["server", "serve"],
+}
+PATIENCE_SECONDS = 1800.0
+
+
+@dataclass
+class Service:
+    """A `morph serve` that is started again whenever its supervisor has died."""
+
+    data_dir: Path
+    database_url: str
+    port: int
+    workers: int
+    supervisor: subprocess.Popen[bytes] | None = None
+    kills: Counter[str] = field(default_factory=Counter)
+
+    def keep_alive(self) -> None:
+        """Start the supervisor if it is not there."""
+        if self.supervisor is not None and self.supervisor.poll() is None:
+            return
+        own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
+        with (self.data_dir / "service.log").open("ab") as log:
+            self.supervisor = subprocess.Popen(
+                [sys.executable, "-m", "server", "serve"],
+                env=own
+                | {
+                    "MORPH_DATA_DIR": str(self.data_dir),
+                    "MORPH_DATABASE_URL": self.database_url,
+                    "MORPH_PORT": str(self.port),
+                    "MORPH_WORKERS": str(self.workers),
+                    "MORPH_THREADS": "1",
+                    "MORPH_POLL_SECONDS": "0.1",
+                    "MORPH_ADOPTION_SECONDS": "0.5",
+                    "MORPH_RETRY_SECONDS": "0.2",
+                },
+                stdout=log,
+                stderr=log,
+            )
+
+    def kill_one(self, chance: random.Random) -> None:
+        """Kill a process of a random kind."""
+        family = self._family()
+        kind = chance.choice(sorted(family))
+        victim = chance.choice(family[kind])
+        try:
+            victim.send_signal(signal.SIGKILL)
+        except psutil.Error:
+            return
+        self.kills[kind] += 1
+        if kind == "supervisor" and self.supervisor is not None:
+            self.supervisor.wait()
+
+    def stop(self) -> None:
+        """End all of it."""
+        if self.supervisor is not None:
+            self.supervisor.terminate()
+            self.supervisor.wait(20)
+
+    def _family(self) -> dict[str, list[psutil.Process]]:
+        """Processes of this service by kind; those of a dead supervisor may still be about."""
+        family: dict[str, list[psutil.Process]] = {}
+        for process in psutil.process_iter():
+            try:
+                command = process.cmdline()
+                mine = process.environ().get("MORPH_DATA_DIR") == str(self.data_dir)
+            except psutil.Error:
+                continue
+            for kind, words in KINDS.items():
+                if mine and all(word in command for word in words):
+                    family.setdefault(kind, []).append(process)
+        return family
+
+
+def main() -> int:
+    """Run the trial and print what came of it; returns the number of faults found."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=40)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--interval", type=float, default=1.5, help="mean time between kills [s]")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--database", default="", help="URL of an empty Postgres database")
+    options = parser.parse_args()
+    chance = random.Random(options.seed)
+    with tempfile.TemporaryDirectory(prefix="morph-soak-") as folder, socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+        free.close()
+        service = Service(Path(folder), options.database, port, options.workers)
+        expected = undisturbed(Path(folder), options.frames)
+        service.keep_alive()
+        started = time.monotonic()
+        try:
+            jobs = [submit(service, number, options.frames) for number in range(options.jobs)]
+            states = kill_until_done(service, chance, jobs, options.kills, options.interval)
+            faults = [fault for job in jobs for fault in faults_of(service, job, states, expected)]
+            again = sum(max(len(frames(service, job)) - options.frames, 0) for job in jobs)
+        finally:
+            service.stop()
+        total = sum(service.kills.values())
+        listed = len(states)
+        print(f"{options.jobs} jobs, {listed} listed, {time.monotonic() - started:.0f} s")
+        print(f"{total} kills: " + ", ".join(f"{n} {kind}" for kind, n in service.kills.items()))
+        print(f"states: {dict(Counter(states.values()))}")
+        print(f"frames computed again: {again}, allowed {total}")
+        if again > total:
+            faults.append("too many frames computed again")
+        if listed != options.jobs:
+            faults.append(f"{listed} jobs listed")
+        print("\n".join(faults) or "nothing lost, nothing twice, every result as undisturbed")
+        if faults:
+            print((Path(folder) / "service.log").read_text()[-4000:])
+    return len(faults)
+
+
+def undisturbed(folder: Path, frame_count: int) -> np.ndarray:
+    """Positions of the job when nothing disturbs it."""
+    out = folder / "undisturbed.vtkhdf"
+    subprocess.run(
+        [sys.executable, "-m", "client", "run", "sphere", "star", "--points-per-cell-edge", "1",
+         "--frames", str(frame_count), "--device", "cpu", "--out", out, "--quiet"],
+        check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    with Trajectory(out) as result:
+        return np.stack(list(result))
+
+
+def submit(service: Service, number: int, frame_count: int) -> str:
+    """Submit a job, however often it takes; the key makes it one job."""
+    body = {
+        "source": {"shape": "sphere"},
+        "target": {"shape": "star"},
+        "overrides": {"sampling.points_per_cell_edge": 1},
+        "frames": frame_count,
+        "device": "cpu",
+    }
+    answer = ask(service, "POST", "/v1/jobs", json=body, headers={"Idempotency-Key": f"{number}"})
+    return answer["id"]
+
+
+def ask(service: Service, method: str, path: str, **arguments):
+    """An answer of the API, which may be dead at the moment."""
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            url = f"http://127.0.0.1:{service.port}{path}"
+            answer = httpx.request(method, url, timeout=20, **arguments)
+            if answer.status_code < 500:
+                answer.raise_for_status()
+                return answer.json()
+        except httpx.TransportError:
+            if time.monotonic() > deadline:
+                raise
+        service.keep_alive()
+        time.sleep(0.2)
+
+
+def kill_until_done(
+    service: Service, chance: random.Random, jobs: list[str], kills: int, interval: float
+) -> dict[str, str]:
+    """Kill while jobs run, then let them end; returns the state of every job there is."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while True:
+        service.keep_alive()
+        if sum(service.kills.values()) < kills:
+            time.sleep(chance.expovariate(1 / interval))
+            service.kill_one(chance)
+        else:
+            time.sleep(1)
+        states = listed(service)
+        unfinished = [job for job in jobs if states.get(job) in (None, "queued", "running")]
+        if not unfinished or time.monotonic() > deadline:
+            return states
+
+
+def listed(service: Service) -> dict[str, str]:
+    """States of all jobs."""
+    states, cursor = {}, None
+    while True:
+        parameters = {"limit": 100} | ({"cursor": cursor} if cursor else {})
+        page = ask(service, "GET", "/v1/jobs", params=parameters)
+        states |= {job["id"]: job["state"] for job in page["items"]}
+        cursor = page["next_cursor"]
+        if not cursor:
+            return states
+
+
+def frames(service: Service, job: str) -> list[int]:
+    """Frames that were computed, repetitions included."""
+    events = ask(service, "GET", f"/v1/jobs/{job}/events", params={"limit": 1000})["items"]
+    return [event["data"]["frame"] for event in events if event["type"] == "frame"]
+
+
+def faults_of(
+    service: Service, job: str, states: dict[str, str], expected: np.ndarray
+) -> list[str]:
+    """What is wrong with a job."""
+    if states.get(job) != "succeeded":
+        problem = ask(service, "GET", f"/v1/jobs/{job}")["problem"]
+        return [f"{job} is {states.get(job)}: {problem}"]
+    path = service.data_dir / "jobs" / job / "result.vtkhdf"
+    with Trajectory(path) as result:
+        same = result.status == "complete" and np.array_equal(np.stack(list(result)), expected)
+    return [] if same else [f"{job} differs from an undisturbed run"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

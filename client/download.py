@@ -1,0 +1,61 @@
+"""Download of a result: resumed where it broke off, checked, and whole or not there at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import httpx
+
+from client.partial_file import PartialFile
+from client.retry import Attempts
+from client.service_error import strange_answer
+from client.transport import Call, Reply, Transport
+
+_NO_SUCH_RANGE = 416
+
+
+async def download(transport: Transport, path: str, target: Path) -> None:
+    """Fetch what lies at `path` into a file.
+
+    Raises:
+        ServiceError: The service refuses or stays away; what has arrived is kept for next time.
+        ResultError: What arrived is damaged; it is not kept.
+        OSError: The disk refuses.
+    """
+    attempts = Attempts(transport.server)
+    while True:
+        part = PartialFile.find(target)
+        try:
+            async with transport.open(_call(path, part)) as reply:
+                if reply.response.is_success:
+                    part = _accepted(transport, reply, part, target)
+                    with part.path.open("ab") as file:
+                        async for chunk in reply.chunks:
+                            file.write(chunk)
+                            attempts.succeeded()
+                    return part.keep()
+                if reply.response.status_code == _NO_SUCH_RANGE and part is not None:
+                    return part.keep()  # it had all arrived; if not, the digest tells
+                pause = attempts.pause_after_refusal(reply.response)
+        except httpx.TransportError as error:
+            pause = attempts.pause_after_loss(error)
+        await transport.sleep(pause)
+
+
+def _call(path: str, part: PartialFile | None) -> Call:
+    headers = {"Accept-Encoding": "identity"}
+    if part is not None and part.size:
+        headers |= {"Range": f"bytes={part.size}-", "If-Range": f'"{part.digest}"'}
+    return Call("GET", path, headers=headers)
+
+
+def _accepted(
+    transport: Transport, reply: Reply, part: PartialFile | None, target: Path
+) -> PartialFile:
+    """Where the body of an answer goes: after what is there, or to a new beginning."""
+    arriving = PartialFile.of_etag(target, reply.response.headers.get("etag", ""))
+    if arriving is None:
+        raise strange_answer(transport.server)
+    if part is not None and reply.response.status_code != 206:
+        part.discard()
+    return arriving

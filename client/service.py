@@ -1,0 +1,468 @@
+"""What the service can do, written once over any transport."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import uuid
+from collections.abc import AsyncGenerator, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import quote
+
+import httpx
+from pydantic import BaseModel, ValidationError
+
+from client.download import download
+from client.following import follow
+from client.partial_file import BLOCK_BYTES
+from client.retry import Attempts
+from client.service_error import ServiceError, strange_answer
+from client.transport import Call, Transport
+from morph_engine.errors import ConfigError, MeshError
+from server import schemas
+from server.schemas import (
+    BuiltInShape,
+    Event,
+    Job,
+    JobPage,
+    JobRequest,
+    Key,
+    KeyRequest,
+    Mesh,
+    MeshPage,
+    MeshShape,
+    NewKey,
+    Resource,
+    Shape,
+    Sweep,
+    SweepRequest,
+    WorkerStatus,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Model = TypeVar("Model", bound=BaseModel)
+ShapeLike = str | Path | Shape
+
+TEXT_PREFIX = "text:"
+PAGE_SIZE = 100
+
+
+class Service:
+    """Every call to the service, as coroutines.
+
+    All of them raise ServiceError when the service refuses or does not answer.
+
+    Args:
+        transport: Sends the calls.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    async def close(self) -> None:
+        """Close all connections."""
+        await self._transport.close()
+
+    # meshes
+
+    async def upload_mesh(self, path: str | Path) -> Mesh:
+        """Upload a mesh file; what is there already is not sent again.
+
+        Raises:
+            MeshError: The file cannot be read.
+        """
+        path = Path(path)
+        known = await self._find_mesh(path)
+        if known is not None:
+            return known
+        call = Call("POST", "/meshes", {"name": path.name}, upload=path, repeatable=True)
+        return self._parse(Mesh, await self._send(call))
+
+    async def meshes(self) -> AsyncGenerator[Mesh, None]:
+        """Your meshes, the newest first."""
+        cursor: str | None = None
+        while True:
+            page = await self._get(MeshPage, "/meshes", limit=PAGE_SIZE, cursor=cursor)
+            for mesh in page.items:
+                yield mesh
+            cursor = page.next_cursor
+            if cursor is None:
+                return
+
+    async def mesh(self, mesh_id: str) -> Mesh:
+        """One mesh."""
+        return await self._get(Mesh, _at("meshes", mesh_id))
+
+    async def delete_mesh(self, mesh_id: str) -> None:
+        """Delete a mesh that no unfinished job uses."""
+        await self._send(Call("DELETE", _at("meshes", mesh_id)))
+
+    async def shape(self, source: ShapeLike) -> Shape:
+        """What a user typed as a shape of the service; a file is uploaded.
+
+        Args:
+            source: Path of a mesh file, or the name of a built-in shape, or text:WORD.
+
+        Raises:
+            MeshError: The file cannot be read.
+        """
+        if isinstance(source, MeshShape | BuiltInShape):
+            return source
+        if isinstance(source, str) and not _is_file(source):
+            return BuiltInShape(shape=source)
+        return MeshShape(mesh=(await self.upload_mesh(source)).id)
+
+    # jobs
+
+    async def submit(
+        self,
+        source: ShapeLike,
+        target: ShapeLike,
+        *,
+        preset: str = "fast",
+        overrides: Mapping[str, Any] | None = None,
+        method: str | None = None,
+        frames: int | None = None,
+        seed: int | None = None,
+        name: str = "",
+        device: schemas.Device = "auto",
+        priority: int = 100,
+        timeout_seconds: float | None = None,
+        idempotency_key: str | None = None,
+    ) -> Job:
+        """Have a morph computed.
+
+        Args:
+            source: Where the particles come from: a file, which is uploaded, or a built-in shape.
+            target: What they are to become.
+            preset: Configuration to start from.
+            overrides: Settings by dotted path.
+            method: Short for the override `method`.
+            frames: Short for the override `frames`.
+            seed: Short for the override `seed`.
+            name: For your own use.
+            device: Where to compute.
+            priority: 1 to 1000; smaller runs earlier among your jobs.
+            timeout_seconds: Stop after so long [s].
+            idempotency_key: Calls with the same key make one job; if None, a new key, which
+                holds for the repetitions within this call.
+
+        Returns:
+            The job, usually queued.
+
+        Raises:
+            MeshError: A file cannot be read.
+        """
+        body = _checked(
+            JobRequest,
+            source=await self.shape(source),
+            target=await self.shape(target),
+            preset=preset,
+            overrides=dict(overrides or {}),
+            method=method,
+            frames=frames,
+            seed=seed,
+            name=name,
+            device=device,
+            priority=priority,
+            timeout_seconds=timeout_seconds,
+        )
+        return self._parse(Job, await self._send(_once("/jobs", body, idempotency_key)))
+
+    async def jobs(
+        self,
+        *,
+        state: str | None = None,
+        method: str | None = None,
+        sweep: str | None = None,
+        owner: str | None = None,
+    ) -> AsyncGenerator[Job, None]:
+        """Jobs, the newest first; page after page is fetched as you iterate."""
+        cursor: str | None = None
+        while True:
+            page = await self._get(
+                JobPage,
+                "/jobs",
+                state=state,
+                method=method,
+                sweep=sweep,
+                owner=owner,
+                limit=PAGE_SIZE,
+                cursor=cursor,
+            )
+            for job in page.items:
+                yield job
+            cursor = page.next_cursor
+            if cursor is None:
+                return
+
+    async def job(self, job_id: str) -> Job:
+        """A job as it stands."""
+        return await self._get(Job, _at("jobs", job_id))
+
+    async def cancel(self, job_id: str) -> Job:
+        """Stop a job; its finished frames stay."""
+        call = Call("POST", _at("jobs", job_id, "cancel"), repeatable=True)
+        return self._parse(Job, await self._send(call))
+
+    async def resume(self, job_id: str) -> Job:
+        """Let a job that did not succeed go on after its last finished frame."""
+        return self._parse(Job, await self._send(Call("POST", _at("jobs", job_id, "resume"))))
+
+    async def retry(self, job_id: str) -> Job:
+        """Compute a finished job again from its beginning."""
+        return self._parse(Job, await self._send(Call("POST", _at("jobs", job_id, "retry"))))
+
+    async def delete(self, job_id: str) -> None:
+        """Delete a finished job and its result."""
+        await self._send(Call("DELETE", _at("jobs", job_id)))
+
+    def events(self, job_id: str, *, after: int = 0) -> AsyncGenerator[Event, None]:
+        """What happens to a job until it is finished, as it happens.
+
+        A lost connection is taken up again after the last event.
+
+        Args:
+            job_id: The job.
+            after: Leave out events up to this id.
+        """
+        return follow(self._transport, _at("jobs", job_id, "events"), after)
+
+    async def wait(self, job_id: str) -> Job:
+        """The job once it is finished, however it ended."""
+        async for _ in self.events(job_id):
+            pass
+        return await self.job(job_id)
+
+    # results
+
+    async def download(self, job_id: str, path: str | Path) -> Path:
+        """Fetch the result of a job into a file, which appears whole or not at all.
+
+        What an interrupted download left beside the file is completed, not fetched again. The
+        file replaces one that is there.
+
+        Returns:
+            The file.
+
+        Raises:
+            ResultError: What arrived is damaged.
+        """
+        await download(self._transport, _at("jobs", job_id, "result"), Path(path))
+        return Path(path)
+
+    async def frame(self, job_id: str, index: int = -1) -> NDArray[np.float32]:
+        """Particle positions of a frame [dx], shape [particle_count, 3], float32.
+
+        Args:
+            job_id: The job, which may still run.
+            index: 0-based; -1 is the last one finished.
+        """
+        import numpy as np
+
+        response = await self._send(
+            Call(
+                "GET", _at("jobs", job_id, "frames", str(index)), {"format": "npy"}, repeatable=True
+            )
+        )
+        frame: NDArray[np.float32] = np.load(io.BytesIO(response.content), allow_pickle=False)
+        return frame
+
+    async def metrics(self, job_id: str) -> list[dict[str, float]]:
+        """Metrics of every finished frame, and what each took [s]."""
+        rows: list[dict[str, float]] = await self._get_json(_at("jobs", job_id, "metrics"))
+        return rows
+
+    async def config(self, job_id: str) -> dict[str, Any]:
+        """The resolved configuration of a job."""
+        config: dict[str, Any] = await self._get_json(_at("jobs", job_id, "config"))
+        return config
+
+    async def log(self, job_id: str) -> str:
+        """What the engine wrote while it computed a job."""
+        return (await self._send(Call("GET", _at("jobs", job_id, "log"), repeatable=True))).text
+
+    # sweeps
+
+    async def sweep(
+        self,
+        sources: Iterable[ShapeLike],
+        targets: Iterable[ShapeLike],
+        *,
+        methods: Iterable[str] = ("joint",),
+        seeds: Iterable[int] = (42,),
+        preset: str = "fast",
+        overrides: Mapping[str, Any] | None = None,
+        frames: int | None = None,
+        name: str = "",
+        device: schemas.Device = "auto",
+        priority: int = 100,
+        timeout_seconds: float | None = None,
+        idempotency_key: str | None = None,
+    ) -> Sweep:
+        """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
+        body = _checked(
+            SweepRequest,
+            sources=[await self.shape(source) for source in sources],
+            targets=[await self.shape(target) for target in targets],
+            methods=list(methods),
+            seeds=list(seeds),
+            preset=preset,
+            overrides=dict(overrides or {}),
+            frames=frames,
+            name=name,
+            device=device,
+            priority=priority,
+            timeout_seconds=timeout_seconds,
+        )
+        return self._parse(Sweep, await self._send(_once("/sweeps", body, idempotency_key)))
+
+    async def sweep_status(self, sweep_id: str) -> Sweep:
+        """A sweep and its table."""
+        return await self._get(Sweep, _at("sweeps", sweep_id))
+
+    # what there is to choose from
+
+    async def presets(self) -> list[Resource]:
+        """The presets of the service."""
+        return await self._get_list(Resource, "/presets")
+
+    async def methods(self) -> list[Resource]:
+        """The methods of the service."""
+        return await self._get_list(Resource, "/methods")
+
+    async def shapes(self) -> list[Resource]:
+        """The built-in shapes of the service."""
+        return await self._get_list(Resource, "/shapes")
+
+    # administration
+
+    async def keys(self) -> list[Key]:
+        """The API keys, without their secrets."""
+        return await self._get_list(Key, "/keys")
+
+    async def create_key(self, name: str, scopes: Iterable[str] = ("read", "submit")) -> NewKey:
+        """A new API key; its secret is shown this once."""
+        body = _checked(KeyRequest, name=name, scopes=list(scopes))
+        return self._parse(NewKey, await self._send(Call("POST", "/keys", body=body)))
+
+    async def delete_key(self, name: str) -> None:
+        """Delete an API key; it is refused from then on."""
+        await self._send(Call("DELETE", _at("keys", name)))
+
+    async def workers(self) -> list[WorkerStatus]:
+        """The worker slots."""
+        return await self._get_list(WorkerStatus, "/workers")
+
+    async def pause_worker(self, worker_id: str) -> WorkerStatus:
+        """Let a worker finish its job and start no other."""
+        call = Call("POST", _at("workers", worker_id, "pause"), repeatable=True)
+        return self._parse(WorkerStatus, await self._send(call))
+
+    async def unpause_worker(self, worker_id: str) -> WorkerStatus:
+        """Let a paused worker start jobs again."""
+        call = Call("POST", _at("workers", worker_id, "unpause"), repeatable=True)
+        return self._parse(WorkerStatus, await self._send(call))
+
+    # how calls are sent
+
+    async def _send(self, call: Call) -> httpx.Response:
+        attempts = Attempts(self._transport.server, repeatable=call.repeatable)
+        while True:
+            try:
+                response = await self._transport.send(call)
+                if response.is_success:
+                    return response
+                if response.status_code < 400:
+                    raise strange_answer(self._transport.server)
+                pause = attempts.pause_after_refusal(response)
+            except httpx.TransportError as error:
+                pause = attempts.pause_after_loss(error)
+            await self._transport.sleep(pause)
+
+    async def _get(self, model: type[Model], path: str, **query: Any) -> Model:
+        return self._parse(model, await self._send(Call("GET", path, query, repeatable=True)))
+
+    async def _get_json(self, path: str) -> Any:
+        response = await self._send(Call("GET", path, repeatable=True))
+        try:
+            return response.json()
+        except ValueError:
+            raise strange_answer(self._transport.server) from None
+
+    async def _get_list(self, model: type[Model], path: str) -> list[Model]:
+        try:
+            return [model.model_validate(item) for item in await self._get_json(path)]
+        except (ValidationError, TypeError):
+            raise strange_answer(self._transport.server) from None
+
+    def _parse(self, model: type[Model], response: httpx.Response) -> Model:
+        try:
+            return model.model_validate_json(response.content)
+        except ValidationError:
+            raise strange_answer(self._transport.server) from None
+
+    async def _find_mesh(self, path: Path) -> Mesh | None:
+        try:
+            digest = _sha256(path)
+        except OSError as error:
+            raise MeshError(
+                f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
+            ) from error
+        try:
+            return await self.mesh(digest)
+        except ServiceError as error:
+            if error.status != 404:
+                raise
+            return None
+
+
+def _at(*segments: str) -> str:
+    """A path below /v1; an id cannot lead out of its place in it.
+
+    Raises:
+        ServiceError: One can be no id.
+    """
+    for segment in segments:
+        if segment in ("", ".", ".."):
+            raise ServiceError(f"{segment!r} is no id.", "Look it up with morph jobs.", 404)
+    return "".join(f"/{quote(segment, safe='')}" for segment in segments)
+
+
+def _is_file(shape: str) -> bool:
+    """Whether a name is that of a file, there or not; no built-in shape has a dot or a slash."""
+    if shape.startswith(TEXT_PREFIX):
+        return False
+    return bool({".", "/"} & set(shape)) or Path(shape).is_file()
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _once(path: str, body: BaseModel, key: str | None) -> Call:
+    """A call that has one effect however often it is sent."""
+    headers = {"Idempotency-Key": key or str(uuid.uuid4())}
+    return Call("POST", path, body=body, headers=headers, repeatable=True)
+
+
+def _checked(model: type[Model], **values: Any) -> Model:
+    """A request body.
+
+    Raises:
+        ConfigError: A value is out of range.
+    """
+    try:
+        return model(**values)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise ConfigError(f"{place}: {fault['msg']}.", "Choose another value.") from None

@@ -1,0 +1,127 @@
+"""Processes of the server room: `python -m server api | serve | check | openapi | keys`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import socket
+import sys
+from typing import TYPE_CHECKING
+
+from morph_engine.errors import MorphError
+from worker.settings import Settings
+
+if TYPE_CHECKING:
+    from server.keyring import Keyring
+
+BAD_INPUT = 2
+
+
+def main() -> None:
+    """Run one process until it is told to end."""
+    logging.basicConfig(
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
+    )
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
+    try:
+        sys.exit(_run(_parser().parse_args(), Settings()))
+    except MorphError as error:
+        sys.stderr.write(f"{error.cause}\n{error.remedy}\n")
+        sys.exit(BAD_INPUT)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m server", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    api = commands.add_parser("api", help="answer requests")
+    api.add_argument("--fd", type=int, help="listening socket to inherit")
+    commands.add_parser("serve", help="API, workers and janitor on this machine")
+    commands.add_parser("check", help="create the tables, and refuse what must not start")
+    commands.add_parser("openapi", help="print the contract of the API")
+    keys = commands.add_parser("keys", help="make and revoke API keys")
+    actions = keys.add_subparsers(dest="action", required=True)
+    add = actions.add_parser("add", help="make a key and print its secret")
+    add.add_argument("name")
+    add.add_argument(
+        "--scope", action="append", choices=["read", "submit", "admin"], help="submit by default"
+    )
+    actions.add_parser("list", help="print the keys as JSON")
+    remove = actions.add_parser("remove", help="revoke a key")
+    remove.add_argument("name")
+    return parser
+
+
+def _run(arguments: argparse.Namespace, settings: Settings) -> int:
+    if arguments.command == "serve":
+        from server.supervisor import serve
+
+        return serve(settings)
+    if arguments.command == "openapi":
+        from server.app import create_app
+        from server.contract import text
+
+        sys.stdout.write(text(create_app(settings)))
+        return 0
+    keyring = _keyring(settings)
+    if arguments.command == "keys":
+        return _keys(arguments, keyring)
+    from server.listening import check_keys, listen
+
+    check_keys(settings, keyring)
+    if arguments.command == "check":
+        from worker.queue import migrate
+
+        migrate(settings)
+    else:
+        from server.answering import ApiServer
+
+        inherited = arguments.fd is not None
+        listener = socket.socket(fileno=arguments.fd) if inherited else listen(settings)
+        ApiServer(settings).run(sockets=[listener])
+    return 0
+
+
+def _keyring(settings: Settings) -> Keyring:
+    """The keys, in tables that exist."""
+    from server.keyring import Keyring
+    from server.tables import create
+    from worker.queue import database
+    from worker.storage import Storage
+
+    Storage(settings.data_dir)
+    engine = database(settings)
+    create(engine)
+    return Keyring(engine)
+
+
+def _keys(arguments: argparse.Namespace, keyring: Keyring) -> int:
+    if arguments.action == "list":
+        keys = [key.model_dump(mode="json") for key in keyring.keys()]
+        sys.stdout.write(json.dumps(keys, indent=2) + "\n")
+        return 0
+    if arguments.action == "remove":
+        if keyring.remove(arguments.name):
+            return 0
+        sys.stderr.write(f"There is no key {arguments.name!r}.\n")
+        return BAD_INPUT
+    from pydantic import ValidationError
+
+    from server.schemas import KeyRequest
+
+    try:
+        wanted = KeyRequest(name=arguments.name, scopes=arguments.scope or ["read", "submit"])
+    except ValidationError:
+        sys.stderr.write("A key's name has up to 64 letters, digits, dots, dashes, underscores.\n")
+        return BAD_INPUT
+    made = keyring.add(wanted.name, wanted.scopes)
+    if made is None:
+        sys.stderr.write(f"There is a key {wanted.name!r} already.\n")
+        return BAD_INPUT
+    sys.stdout.write(f"{made[1]}{os.linesep}")
+    return 0
+
+
+if __name__ == "__main__":
+    main()

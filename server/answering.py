@@ -1,0 +1,47 @@
+"""The API process: answer requests on a socket until told to end."""
+
+from __future__ import annotations
+
+import socket
+
+import uvicorn
+
+from server.app import create_app
+from server.service import Service
+from worker.settings import Settings
+
+GRACE_SECONDS = 5
+KEEP_ALIVE_SECONDS = 30
+
+
+class ApiServer(uvicorn.Server):
+    """Ends event streams at once when it is told to stop, and waits a while for other requests.
+
+    Args:
+        settings: What to serve.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._app = create_app(settings)
+        super().__init__(
+            uvicorn.Config(
+                self._app,
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                lifespan="on",
+                timeout_graceful_shutdown=GRACE_SECONDS,
+                timeout_keep_alive=KEEP_ALIVE_SECONDS,
+            )
+        )
+
+    @property
+    def service(self) -> Service:
+        """What the endpoints share, once it has started."""
+        service: Service = self._app.state.service
+        return service
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop answering."""
+        self.service.watches.close()
+        await super().shutdown(sockets)

@@ -1,0 +1,76 @@
+"""The API as an ASGI application."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib import metadata
+
+import anyio
+from fastapi import APIRouter, FastAPI
+
+from server import (
+    catalog,
+    contract,
+    events,
+    health,
+    jobs,
+    keys,
+    meshes,
+    problems,
+    results,
+    sweeps,
+    workers,
+)
+from server.access import Gate, is_loopback
+from server.service import Service
+from worker.settings import Settings
+
+DESCRIPTION = """\
+Morph one 3D shape into another by physics: upload meshes, submit jobs, watch them, fetch results.
+
+Every error is an RFC 9457 problem with the cause in `detail` and what to do about it in `remedy`.
+"""
+
+ROUTERS = (meshes, jobs, results, events, sweeps, catalog, keys, workers)
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The application; it connects when it starts, not when it is made.
+
+    Args:
+        settings: Where to listen decides whether keys are needed, the rest is for the service.
+    """
+    instruments = health.Instruments()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        service = await anyio.to_thread.run_sync(Service.open, settings)
+        app.state.service = service
+        app.state.gate = Gate(service.keyring, open_without_keys=is_loopback(settings.host))
+        instruments.watch(service)
+        try:
+            yield
+        finally:
+            service.watches.close()
+            await anyio.to_thread.run_sync(service.close)
+
+    app = FastAPI(
+        title="morph",
+        version=metadata.version("chamfer-morph"),
+        summary="Differentiable shape morphing as a service",
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        redirect_slashes=False,
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+    )
+    app.state.instruments = instruments
+    problems.install(app)
+    app.add_middleware(health.MeasuringMiddleware, instruments)
+    v1 = APIRouter(prefix="/v1")
+    for room in ROUTERS:
+        v1.include_router(room.router)
+    app.include_router(v1)
+    app.include_router(health.router)
+    contract.install(app)
+    return app

@@ -1,0 +1,207 @@
+"""/v1/jobs/{id}/...: the result file, single frames, metrics, configuration and log."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.responses import FileResponse
+
+from server import frames, job_view
+from server.access import Reader
+from server.meshes import matches
+from server.problems import ProblemError
+from server.schemas import FrameFormat
+from server.service import Service, Services
+from worker.job import JobState
+from worker.queue import JobRecord
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+
+HDF5 = "application/vnd.hdfgroup.hdf5"
+BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
+
+
+@router.get(
+    "/result",
+    operation_id="getResult",
+    summary="Download the result",
+    response_class=Response,
+    responses={
+        200: {"content": {HDF5: BINARY}, "description": "The file."},
+        206: {"content": {HDF5: BINARY}, "description": "The part asked for with Range."},
+        304: {"description": "You have it already."},
+    },
+)
+def get_result(job_id: str, request: Request, caller: Reader, service: Services) -> Response:
+    """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
+
+    Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
+    leaves the frames it had finished.
+    """
+    record = job_view.find(job_id, caller, service)
+    path = service.storage.result_path(job_id)
+    if not record.state.finished or not path.is_file():
+        raise ProblemError(
+            409,
+            f"The job is {record.state.value.replace('_', ' ')} and has no result.",
+            "Wait for it to finish; single frames can be fetched while it runs.",
+            headers={} if record.state.finished else {"Retry-After": "5"},
+        )
+    if record.outcome is not None:
+        digest = record.outcome.sha256
+    else:
+        seen = path.stat()
+        digest = _digest(path, seen.st_mtime_ns, seen.st_size)
+    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, no-cache"}
+    if matches(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return FileResponse(path, headers=headers, media_type=HDF5, filename=_file_name(record))
+
+
+@router.get(
+    "/frames/{index}",
+    operation_id="getFrame",
+    summary="Fetch one frame",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {
+                "application/octet-stream": BINARY,
+                frames.PLY: BINARY,
+                frames.NPY: BINARY,
+            },
+            "headers": {
+                "Morph-Frame": {"schema": {"type": "integer"}, "description": "Its index."},
+                "Morph-Particles": {"schema": {"type": "integer"}, "description": "Their number."},
+                "Morph-Offset": {"schema": {"type": "number"}, "description": "Of u16, see above."},
+                "Morph-Scale": {"schema": {"type": "number"}, "description": "Of u16, see above."},
+            },
+            "description": "Positions of all particles.",
+        },
+        304: {"description": "You have it already."},
+    },
+)
+def get_frame(
+    job_id: str,
+    index: int,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    format: Annotated[FrameFormat, Query(description="How to encode the positions.")] = "f32",
+) -> Response:
+    """Particle positions of a finished frame, also while the job runs. Frames count from 0; -1 is
+    the last one.
+
+    `f32`: little-endian float32, x y z of one particle after the other [grid units]. `u16`:
+    little-endian uint16 likewise; position = Morph-Offset + Morph-Scale x value. `ply`: a binary
+    PLY point cloud. `npy`: a NumPy array of shape [n, 3].
+    """  # noqa: D205
+    record = job_view.find(job_id, caller, service)
+    frame = frames.read(service.storage.result_path(job_id), index, record.state.finished)
+    if frame is None:
+        raise ProblemError(
+            404,
+            f"There is no frame {index} yet." if not record.state.finished
+            else f"There is no frame {index}.",
+            "See the job's progress for the number of frames.",
+        )  # fmt: skip
+    extent = float(record.spec.config["grid"]["half_extent"])
+    body, media_type = frames.encode(frame.positions, format, extent)
+    headers = {
+        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
+        "Cache-Control": "private, no-cache",
+        "Morph-Frame": str(frame.index),
+        "Morph-Particles": str(len(frame.positions)),
+    }
+    if format == "u16":
+        headers |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / 65535)}
+    if matches(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return Response(body, headers=headers, media_type=media_type)
+
+
+@router.get(
+    "/metrics",
+    operation_id="getMetrics",
+    summary="Metrics of every frame",
+    response_model=list[dict[str, float]],
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
+def get_metrics(
+    job_id: str,
+    caller: Reader,
+    service: Services,
+    format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
+) -> Any:
+    """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
+    job_view.find(job_id, caller, service)
+    rows = _metrics(job_id, service)
+    if format == "json":
+        return rows
+    names = list(dict.fromkeys(name for row in rows for name in row)) or ["frame"]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    return Response(text.getvalue(), media_type="text/csv; charset=utf-8")
+
+
+@router.get("/config", operation_id="getConfig", summary="The resolved configuration")
+def get_config(job_id: str, caller: Reader, service: Services) -> dict[str, Any]:
+    """Every setting that the job runs with."""
+    return job_view.find(job_id, caller, service).spec.config
+
+
+@router.get(
+    "/log",
+    operation_id="getLog",
+    summary="What the engine wrote",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def get_log(job_id: str, caller: Reader, service: Services) -> Response:
+    """Warnings and errors of the processes that computed the job, as text."""
+    job_view.find(job_id, caller, service)
+    path = service.storage.job_dir(job_id) / "log.txt"
+    if not path.is_file():
+        return Response("", media_type="text/plain; charset=utf-8")
+    return FileResponse(path, media_type="text/plain; charset=utf-8")
+
+
+def _metrics(job_id: str, service: Service) -> list[dict[str, float]]:
+    """Metrics by frame; a frame computed again counts once."""
+    rows: dict[int, dict[str, float]] = {}
+    for event in service.storage.events(job_id).read(limit=1 << 30):
+        if event.type == "frame":
+            index = int(event.data["frame"])
+            rows[index] = {
+                "frame": index,
+                **event.data["metrics"],
+                "seconds": event.data["seconds"],
+            }
+    return [rows[index] for index in sorted(rows)]
+
+
+@lru_cache(maxsize=1000)
+def _digest(path: Path, changed_at: int, size: int) -> str:
+    """SHA-256 of a partial result, which no outcome names."""
+    with path.open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _file_name(record: JobRecord) -> str:
+    """As `morph run` would name it: sphere-to-bunny.vtkhdf."""
+    ends = [str(record.attributes.get(f"{role}_name", role)) for role in ("source", "target")]
+    plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
+    partial = "" if record.state is JobState.SUCCEEDED else "-partial"
+    return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}.vtkhdf"

@@ -1,0 +1,207 @@
+"""From what a user asks for to what the queue takes; every fault is found here."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from morph_engine import methods, presets, shapes
+from morph_engine.config import MorphConfig
+from morph_engine.cost import estimate
+from morph_engine.errors import ConfigError, MeshError
+from morph_engine.sampling import MINIMUM_PARTICLES, REFERENCE_VOLUME
+from server.keyring import Caller
+from server.problems import ProblemError
+from server.schemas import JobRequest
+from server.service import Service
+from worker.job import JobSpec, MeshShape, Shape
+from worker.queue import JobRecord
+
+_DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A job that may be queued.
+
+    Attributes:
+        spec: What to compute.
+        attributes: What the service keeps beside it.
+        name: The user's name for it.
+        priority: Smaller runs earlier.
+    """
+
+    spec: JobSpec
+    attributes: dict[str, str | int | float]
+    name: str
+    priority: int
+
+
+def prepare(request: JobRequest, caller: Caller, service: Service) -> Submission:
+    """Resolve a request.
+
+    Raises:
+        MorphError: The configuration or a shape cannot be used.
+        ProblemError: 422, a mesh is unknown.
+    """
+    config = configure(request)
+    particles, source_name = _shape("source", request.source, config, caller, service)
+    targets, target_name = _shape("target", request.target, config, caller, service)
+    expected = estimate(particles, targets, config.frames, threads=service.settings.threads or None)
+    limit = service.settings.job_timeout_seconds
+    spec = JobSpec(
+        source=request.source,
+        target=request.target,
+        config=config.model_dump(mode="json"),
+        device=request.device,
+        timeout_seconds=min(request.timeout_seconds or limit, limit),
+    )
+    return Submission(
+        spec=spec,
+        attributes={
+            "body": body_digest(request.model_dump(mode="json")),
+            "method": config.method,
+            "preset": request.preset,
+            "source_name": source_name,
+            "target_name": target_name,
+            "estimate": expected.seconds,
+        },
+        name=request.name,
+        priority=request.priority,
+    )
+
+
+def configure(request: JobRequest) -> MorphConfig:
+    """The configuration that a request asks for.
+
+    Raises:
+        ConfigError: Unknown preset, setting or method, or a value out of range.
+    """
+    short = {
+        name: getattr(request, name)
+        for name in ("method", "frames", "seed")
+        if getattr(request, name) is not None
+    }
+    twice = short.keys() & request.overrides.keys()
+    if twice:
+        name = min(twice)
+        raise ConfigError(f"{name} is given twice.", f"Leave it out of the overrides, or {name}.")
+    if "preset" in request.overrides:
+        raise ConfigError("The preset is no override.", "Name it in the field `preset`.")
+    config = presets.configure(request.preset, {**request.overrides, **short})
+    if config.method not in methods.names():
+        methods.find(config.method)
+    try:
+        json.dumps(config.model_dump(mode="json"), allow_nan=False)
+    except ValueError:
+        raise ConfigError("A setting is not a finite number.", "Give finite numbers.") from None
+    return config
+
+
+def submit(
+    submission: Submission,
+    *,
+    job_id: str,
+    caller: Caller,
+    service: Service,
+    sweep: str | None = None,
+) -> tuple[JobRecord, bool]:
+    """Queue a job, once.
+
+    Returns:
+        The job, and whether it is new.
+
+    Raises:
+        ProblemError: 422, the id belongs to another request.
+    """
+    new = service.queue.enqueue(
+        submission.spec,
+        job_id=job_id,
+        owner=caller.name,
+        name=submission.name,
+        sweep=sweep,
+        priority=submission.priority,
+        attributes=submission.attributes,
+    )
+    record = service.queue.get(job_id)
+    if record is None:
+        raise ProblemError(409, "The job has been deleted meanwhile.", "Submit it again.")
+    if not new and record.attributes.get("body") != submission.attributes["body"]:
+        raise key_reused()
+    return record, new
+
+
+def repeated_id(kind: str, caller: Caller, key: str) -> str:
+    """The id that an idempotency key of a caller stands for."""
+    digest = hashlib.sha256(f"{kind}\0{caller.name}\0{key}".encode()).digest()
+    number = int.from_bytes(digest[:17], "big") >> 6
+    return "".join(_DIGITS[number >> shift & 31] for shift in range(125, -1, -5))
+
+
+def body_digest(body: Mapping[str, Any]) -> str:
+    """What tells two requests apart."""
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def key_reused() -> ProblemError:
+    """The same idempotency key came with another request."""
+    return ProblemError(
+        422,
+        "This Idempotency-Key has been used for another request.",
+        "Make a new key for each new request.",
+    )
+
+
+def shape_name(shape: Shape, caller: Caller, service: Service) -> str:
+    """What a user calls a shape."""
+    if not isinstance(shape, MeshShape):
+        return shape.shape
+    row = service.meshes.get(caller.reach, shape.mesh)
+    return row.name if row else shape.mesh[:12]
+
+
+def _shape(
+    role: str, shape: Shape, config: MorphConfig, caller: Caller, service: Service
+) -> tuple[int, str]:
+    """About how many particles a shape takes, and its name."""
+    per_unit = config.sampling.points_per_cell_edge**3
+    if not isinstance(shape, MeshShape):
+        _check_built_in(shape.shape)
+        return round(REFERENCE_VOLUME * per_unit), shape.shape
+    row = service.meshes.get(caller.reach, shape.mesh)
+    if row is None or service.storage.mesh_file(shape.mesh) is None:
+        raise ProblemError(
+            422,
+            f"There is no mesh {shape.mesh}.",
+            "Upload it first, with POST /v1/meshes.",
+            errors=[{"loc": ["body", role, "mesh"], "msg": "unknown mesh", "type": "unknown"}],
+        )
+    if config.sampling.fit != "none":
+        return round(REFERENCE_VOLUME * per_unit), row.name
+    report = service.storage.mesh_report(shape.mesh)
+    reach = max(abs(x) for corner in report["bounds"] for x in corner)
+    remedy = 'Scale it with the override "sampling.fit": "volume".'
+    if reach > config.domain:
+        raise MeshError(
+            f"{row.name} reaches {reach:.4g} grid units from the centre, and the domain ends at "
+            f"{config.domain:g}.",
+            remedy,
+        )
+    count = round(report["volume"] * per_unit)
+    if count < MINIMUM_PARTICLES:
+        raise MeshError(
+            f"{row.name} has room for about {count} particles, fewer than {MINIMUM_PARTICLES}.",
+            remedy,
+        )
+    return count, row.name
+
+
+@lru_cache(maxsize=1000)
+def _check_built_in(name: str) -> None:
+    """Refuse a shape that cannot be made; only a text has to be tried."""
+    if name not in shapes.names():
+        shapes.make(name)

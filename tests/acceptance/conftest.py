@@ -1,0 +1,198 @@
+"""Real workers, janitors and engine processes to be killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from morph_engine.presets import configure
+from morph_engine.trajectory import Trajectory
+from worker.job import BuiltInShape, JobSpec, JobState
+from worker.queue import JobQueue, JobRecord, new_job_id
+from worker.settings import Settings
+from worker.storage import Storage
+
+FRAMES = 30
+"""Frames of a small job; each takes about a tenth of a second."""
+
+
+@dataclass
+class Cluster:
+    """Workers and janitors on one data directory and one database.
+
+    Attributes:
+        settings: Of all its processes.
+        environment: The same as variables.
+        processes: Everything that was started.
+    """
+
+    settings: Settings
+    environment: dict[str, str]
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Make the tables."""
+        self.storage = Storage(self.settings.data_dir)
+        self.queue = JobQueue(self.settings)
+        self.queue.migrate()
+
+    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
+        """Start a process of the worker room."""
+        with (self.settings.data_dir / "processes.log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "worker", *arguments],
+                env=self.environment | environment,
+                stderr=log,
+            )
+        self.processes.append(process)
+        return process
+
+    def worker(self, slot: int = 0, **environment: str) -> subprocess.Popen[bytes]:
+        """Start a worker slot."""
+        return self.start("run", "--slot", str(slot), **environment)
+
+    def submit(self, *, frames: int = FRAMES, owner: str = "", timeout: float = 300) -> str:
+        """Queue a small job."""
+        config = configure("fast", {"sampling.points_per_cell_edge": 1, "frames": frames})
+        spec = JobSpec(
+            source=BuiltInShape(shape="sphere"),
+            target=BuiltInShape(shape="star"),
+            config=config.model_dump(mode="json"),
+            device="cpu",
+            timeout_seconds=timeout,
+        )
+        job_id = new_job_id()
+        assert self.queue.enqueue(spec, job_id=job_id, owner=owner)
+        return job_id
+
+    def job(self, job_id: str) -> JobRecord:
+        """A job as it stands."""
+        record = self.queue.get(job_id)
+        assert record is not None
+        return record
+
+    def frames(self, job_id: str) -> list[int]:
+        """Indices of the frames that were computed, in order, repetitions included."""
+        events = self.storage.events(job_id).read()
+        return [event.data["frame"] for event in events if event.type == "frame"]
+
+    def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = 60) -> float:
+        """Wait for a condition; returns how long it took [s]."""
+        start = time.monotonic()
+        while not condition():
+            if time.monotonic() - start > seconds:
+                log = (self.settings.data_dir / "processes.log").read_text(errors="replace")
+                pytest.fail(f"{what}: not within {seconds} s.\n{log[-3000:]}")
+            time.sleep(0.02)
+        return time.monotonic() - start
+
+    def wait_for_frame(self, job_id: str, frame: int) -> None:
+        """Wait until a frame is finished."""
+        self.wait_until(lambda: frame in self.frames(job_id), f"frame {frame} of {job_id}")
+
+    def wait_for_state(self, job_id: str, *states: JobState, seconds: float = 60) -> JobRecord:
+        """Wait until a job is in one of some states."""
+        self.wait_until(lambda: self.job(job_id).state in states, f"{job_id} in {states}", seconds)
+        return self.job(job_id)
+
+    def engine(self, worker: subprocess.Popen[bytes]) -> psutil.Process:
+        """The engine process of a worker."""
+
+        def children() -> list[psutil.Process]:
+            return psutil.Process(worker.pid).children()
+
+        self.wait_until(lambda: bool(children()), "the engine process of a worker")
+        return children()[0]
+
+    def require_sound(self, job_id: str, undisturbed: np.ndarray, *, kills: int = 1) -> None:
+        """A succeeded job: its result equals an undisturbed one, and little was done twice."""
+        record = self.wait_for_state(job_id, JobState.SUCCEEDED, JobState.FAILED)
+        assert record.state is JobState.SUCCEEDED, record.problem
+        with Trajectory(self.storage.result_path(job_id)) as result:
+            assert result.status == "complete"
+            positions = np.stack(list(result))
+        np.testing.assert_array_equal(positions, undisturbed)
+        frames = self.frames(job_id)
+        assert set(frames) == set(range(FRAMES))
+        assert len(frames) - FRAMES <= kills
+        assert record.outcome is not None
+        assert record.outcome.frames == FRAMES
+
+    def close(self) -> None:
+        """Kill everything."""
+        for process in self.processes:
+            if process.poll() is None:
+                family = psutil.Process(process.pid).children(recursive=True)
+                process.kill()
+                for member in family:
+                    with_patience(member)
+            process.wait()
+        self.queue.close()
+
+
+def with_patience(process: psutil.Process) -> None:
+    """Kill a process that may be gone already."""
+    try:
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.wait(5)
+    except psutil.Error:
+        pass
+
+
+@pytest.fixture
+def new_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
+    """Makes an empty cluster on the database of a URL."""
+    made: list[Cluster] = []
+
+    def make(database_url: str) -> Cluster:
+        made.append(make_cluster(tmp_path / f"data{len(made)}", database_url))
+        return made[-1]
+
+    yield make
+    for cluster in made:
+        cluster.close()
+
+
+@pytest.fixture
+def cluster(new_cluster: Callable[[str], Cluster], database_url: str) -> Cluster:
+    """An empty cluster, on SQLite and on Postgres."""
+    return new_cluster(database_url)
+
+
+def make_cluster(data_dir: Path, database_url: str) -> Cluster:
+    """A cluster without processes, quick to notice things."""
+    values = {
+        "data_dir": str(data_dir),
+        "database_url": database_url,
+        "poll_seconds": "0.1",
+        "retry_seconds": "0.2",
+        "adoption_seconds": "0.5",
+        "threads": "1",
+    }
+    own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
+    variables = {f"MORPH_{name.upper()}": value for name, value in values.items()}
+    return Cluster(Settings(_env_file=None, **values), own | variables)
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """Positions of a small job that nothing disturbed, shape [frames, n, 3]."""
+    out = tmp_path_factory.mktemp("undisturbed") / "result.vtkhdf"
+    subprocess.run(
+        [sys.executable, "-m", "client", "run", "sphere", "star", "--points-per-cell-edge", "1",
+         "--frames", str(FRAMES), "--device", "cpu", "--out", out, "--quiet"],
+        check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    with Trajectory(out) as result:
+        return np.stack(list(result))

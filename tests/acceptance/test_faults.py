@@ -1,0 +1,300 @@
+"""The fault matrix: whatever dies, no job is lost, none is done twice, and its state is true."""
+
+from __future__ import annotations
+
+import signal
+import sqlite3
+import sys
+import time
+from contextlib import closing
+
+import psutil
+import pytest
+
+from worker.job import JobState
+from worker.workers import executor_id
+
+pytestmark = [
+    pytest.mark.faults,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX"),
+]
+
+
+def test_worker_killed_and_restarted(cluster, undisturbed):
+    """A worker that comes back takes up its job after the last frame."""
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 3)
+    worker.kill()
+    worker.wait()
+    cluster.worker()
+    cluster.require_sound(job, undisturbed)
+
+
+def test_all_killed_at_once(cluster, undisturbed):
+    """Workers, engines and janitor die together; what starts afterwards finishes everything."""
+    workers = [cluster.worker(0), cluster.worker(1)]
+    jobs = [cluster.submit() for _ in range(3)]
+    janitor = cluster.start("janitor")
+    cluster.wait_for_frame(jobs[0], 2)
+    engines = [child for w in workers for child in psutil.Process(w.pid).children()]
+    for process in (*workers, janitor, *engines):
+        process.kill()
+    for worker in workers:
+        worker.wait()
+    cluster.worker(0)
+    cluster.worker(1)
+    for job in jobs:
+        cluster.require_sound(job, undisturbed)
+
+
+def test_two_janitors_adopt_once(cluster, undisturbed):
+    """Two janitors that see the same dead worker do not get in each other's way."""
+    worker = cluster.worker(0)
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    worker.kill()
+    worker.wait()
+    cluster.start("janitor")
+    cluster.start("janitor")
+    cluster.wait_for_state(job, JobState.QUEUED)
+    cluster.worker(1)
+    cluster.require_sound(job, undisturbed)
+    log = (cluster.settings.data_dir / "processes.log").read_text()
+    assert log.count("is gone; its jobs go back into the queue") == 1
+
+
+def test_duplicate_executor(cluster):
+    """A second worker under the same name refuses to start."""
+    cluster.worker(0)
+    lock = cluster.settings.data_dir / "workers" / executor_id(0)
+    cluster.wait_until(lock.exists, "the first worker")
+    second = cluster.worker(0)
+    assert second.wait(30) == 1
+    log = (cluster.settings.data_dir / "processes.log").read_text()
+    assert "Choose another --slot" in log
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL])
+def test_engine_crash(cluster, undisturbed, number):
+    """An engine that crashes, or that the system kills for memory, costs an attempt only."""
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 3)
+    cluster.engine(worker).send_signal(number)
+    cluster.require_sound(job, undisturbed)
+    problems = [e.data for e in cluster.storage.events(job).read() if e.type == "problem"]
+    assert [problem["retry"] for problem in problems] == [True]
+    assert f"signal {int(number)}" in problems[0]["cause"]
+
+
+def test_engine_hangs(cluster, undisturbed):
+    """An engine that finishes nothing for too long is stopped and started again."""
+    worker = cluster.worker(MORPH_STALL_SECONDS="4")
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 3)
+    cluster.engine(worker).send_signal(signal.SIGSTOP)
+    cluster.require_sound(job, undisturbed)
+    problems = [e.data["kind"] for e in cluster.storage.events(job).read() if e.type == "problem"]
+    assert problems == ["hang"]
+
+
+def test_poison(cluster):
+    """An engine that dies in every attempt fails its job after three, with the cause."""
+    worker = cluster.worker()
+    job = cluster.submit()
+    deadline = time.monotonic() + 60
+    while not cluster.job(job).state.finished and time.monotonic() < deadline:
+        for child in psutil.Process(worker.pid).children():
+            if "worker.child" in child.cmdline():
+                child.kill()
+        time.sleep(0.05)
+    record = cluster.job(job)
+    assert record.state is JobState.FAILED
+    assert "signal 9" in record.problem.cause
+    assert record.problem.remedy
+    assert worker.poll() is None
+
+
+def test_input_error_is_not_tried_again(cluster):
+    """What the engine refuses fails at once, with its cause and remedy."""
+    cluster.worker()
+    job = cluster.submit()
+    spec = cluster.job(job).spec
+    cluster.queue.cancel(job)
+    config = {**spec.config, "grid": {**spec.config["grid"], "half_extent": 4.0}}
+    refused = spec.model_copy(update={"config": config})
+    cluster.queue.enqueue(refused, job_id="refused", owner="")
+    record = cluster.wait_for_state("refused", JobState.FAILED)
+    assert record.problem.kind == "input"
+    assert record.problem.remedy
+    types = [event.type for event in cluster.storage.events("refused").read()]
+    assert types.count("problem") == 1
+
+
+def test_worker_stopped_longer_than_its_lease(cluster, undisturbed):
+    """A worker that sleeps through its lease does no harm when it wakes up."""
+    worker = cluster.worker(0)
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    worker.send_signal(signal.SIGSTOP)
+    cluster.worker(1)
+    cluster.start("janitor")
+    if cluster.settings.on_postgres:  # the server takes the lease; a file lock stays
+        cluster.wait_until(
+            lambda: cluster.job(job).executor == executor_id(1), "another worker to go on", 60
+        )
+    else:
+        time.sleep(8)
+    worker.send_signal(signal.SIGCONT)
+    cluster.require_sound(job, undisturbed, kills=2)
+
+
+def test_cancel_while_queued(cluster):
+    """A cancelled job that never started leaves nothing."""
+    job = cluster.submit()
+    cluster.queue.cancel(job)
+    assert cluster.job(job).state is JobState.CANCELLED
+    cluster.worker()
+    other = cluster.submit(frames=1)
+    cluster.wait_for_state(other, JobState.SUCCEEDED)
+    assert cluster.frames(job) == []
+
+
+def test_cancel_while_waiting_to_retry(cluster):
+    """A job that waits for its next attempt can be cancelled."""
+    worker = cluster.worker(MORPH_RETRY_SECONDS="30")
+    job = cluster.submit()
+    cluster.engine(worker).kill()
+    cluster.wait_until(
+        lambda: any(e.type == "problem" for e in cluster.storage.events(job).read()), "a failure"
+    )
+    cluster.queue.cancel(job)
+    other = cluster.submit(frames=1)
+    cluster.wait_for_state(other, JobState.SUCCEEDED)
+    assert cluster.job(job).state is JobState.CANCELLED
+
+
+def test_timeout(cluster, undisturbed):
+    """A job that runs too long is timed out, says so, and can be resumed."""
+    worker = cluster.worker()
+    job = cluster.submit(timeout=4, frames=400)
+    record = cluster.wait_for_state(job, JobState.TIMED_OUT, JobState.CANCELLED)
+    assert record.state is JobState.TIMED_OUT
+    assert "4 s" in record.problem.cause
+    children = psutil.Process(worker.pid).children
+    assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
+    done = len(cluster.frames(job))
+    assert done > 0
+    cluster.queue.resume(job)
+    cluster.wait_until(lambda: len(cluster.frames(job)) > done, "the job to go on")
+
+
+def test_traces_of_a_kill_in_the_wrong_moment(cluster, undisturbed):
+    """Half-written files and a frame beyond the checkpoint do not stop a job from going on."""
+    cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 4)
+    cluster.queue.cancel(job)
+    spool = cluster.storage.job_dir(job) / "result.vtkhdf.spool"
+    folder = cluster.storage.job_dir(job)
+    time.sleep(2)
+    (spool / "frame-000099.npz.tmp").write_bytes(b"half a frame")
+    (spool / "checkpoint.npz.tmp").write_bytes(b"half a checkpoint")
+    (folder / "result.vtkhdf.tmp").write_bytes(b"half a result")
+    with (folder / "events.jsonl").open("ab") as log:
+        log.write(b'{"at": "2026-')
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed)
+
+
+def test_killed_between_result_and_report(cluster, undisturbed):
+    """A result that was finished but not reported is found, not computed again."""
+    cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_state(job, JobState.SUCCEEDED)
+    before = cluster.frames(job)
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=0)
+    assert cluster.frames(job) == before
+
+
+@pytest.mark.parametrize("file", ["checkpoint.npz", "frame-000001.npz", "run.json"])
+def test_corrupt_spool(cluster, undisturbed, file):
+    """A damaged checkpoint, frame or record costs the work done, not the job."""
+    cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 3)
+    cluster.queue.cancel(job)
+    time.sleep(2)
+    path = cluster.storage.job_dir(job) / "result.vtkhdf.spool" / file
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=20)
+
+
+def test_upgrade_with_queued_and_running_jobs(cluster, undisturbed):
+    """A newer program finishes what an older one began."""
+    worker = cluster.worker()
+    running, queued = cluster.submit(), cluster.submit()
+    cluster.wait_for_frame(running, 3)
+    worker.send_signal(signal.SIGTERM)
+    assert worker.wait(10) == 0
+    record = cluster.storage.job_dir(running) / "result.vtkhdf.spool" / "run.json"
+    text = record.read_text()
+    assert '"chamfer-morph": "' in text
+    record.write_text(text.replace('"chamfer-morph": "', '"chamfer-morph": "0.0.'))
+    cluster.worker()
+    cluster.require_sound(running, undisturbed)
+    cluster.require_sound(queued, undisturbed, kills=0)
+
+
+def test_same_id_twice(cluster):
+    """A job submitted twice under one id is one job."""
+    job = cluster.submit()
+    assert not cluster.queue.enqueue(cluster.job(job).spec, job_id=job, owner="")
+    assert [record.id for record in cluster.queue.list()] == [job]
+
+
+def test_owners_take_turns(cluster):
+    """Behind 12 jobs of one key, the first three of another are among the first six to start."""
+    for _ in range(12):
+        cluster.submit(frames=1, owner="greedy")
+    modest = [cluster.submit(frames=1, owner="modest") for _ in range(3)]
+    cluster.worker()
+    for job in modest:
+        cluster.wait_for_state(job, JobState.SUCCEEDED)
+    started = sorted(
+        (r for r in cluster.queue.list() if r.started_at), key=lambda record: record.started_at
+    )
+    assert {r.id for r in started[:7]} >= set(modest)
+
+
+def test_paused_worker_takes_no_job(cluster, undisturbed):
+    """A paused slot finishes its job and takes no other; unpaused it goes on."""
+    from worker import workers
+
+    data, name = cluster.settings.data_dir, executor_id(0)
+    cluster.worker(0)
+    first, second = cluster.submit(), cluster.submit()
+    cluster.wait_for_frame(first, 1)
+    workers.pause(data, name)
+    cluster.require_sound(first, undisturbed, kills=0)
+    time.sleep(1)
+    assert cluster.frames(second) == []
+    cluster.start("janitor")
+    cluster.worker(1)
+    cluster.require_sound(second, undisturbed, kills=0)
+    assert cluster.job(second).executor == executor_id(1)
+
+
+def test_locked_database(new_cluster, undisturbed):
+    """A job outlives ten seconds in which somebody else locks SQLite."""
+    cluster = new_cluster("")
+    cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    with closing(sqlite3.connect(cluster.settings.data_dir / "morph.sqlite")) as connection:
+        connection.execute("begin exclusive")
+        time.sleep(10)
+    cluster.require_sound(job, undisturbed, kills=0)

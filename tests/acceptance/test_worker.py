@@ -1,0 +1,43 @@
+"""The walking path of the worker room; `test_faults.py` has all that may go wrong on it."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from worker.job import JobState
+from worker.workers import executor_id
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
+
+
+def test_from_the_queue_to_the_result_on_another_worker(cluster, undisturbed):
+    """A worker dies in the middle of a job; another one finishes it, soon and to the last bit."""
+    worker = cluster.worker(0)
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    cluster.worker(1)
+    cluster.start("janitor")
+    worker.kill()
+    before = len(cluster.frames(job))
+    waited = cluster.wait_until(
+        lambda: len(cluster.frames(job)) > before + 1, "the job to go on elsewhere"
+    )
+    cluster.require_sound(job, undisturbed)
+    assert cluster.job(job).executor == executor_id(1)
+    assert waited < 10
+
+
+def test_cancel_and_resume(cluster, undisturbed):
+    """Cancelling ends the engine in two seconds and keeps its frames; resuming uses them."""
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    engine = cluster.engine(worker)
+    cluster.queue.cancel(job)
+    assert cluster.wait_until(lambda: not engine.is_running(), "the engine to end") < 2
+    assert cluster.job(job).state is JobState.CANCELLED
+    assert cluster.storage.result_path(job).exists()
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed)

@@ -1,0 +1,120 @@
+"""A running API on a real database and a real socket, without workers."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psycopg
+import pytest
+
+from server.answering import ApiServer
+from server.listening import address, listen
+from server.service import Service
+from worker.settings import Settings
+
+POSTGRES = "postgresql://postgres@127.0.0.1:5432"
+CUBE = """v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nv 0 0 10\nv 10 0 10\nv 10 10 10\nv 0 10 10
+f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7
+f 4 1 5\nf 4 5 8
+"""
+MORPH = {"source": {"shape": "sphere"}, "target": {"shape": "star"}, "frames": 3}
+
+
+@dataclass
+class Api:
+    """A running API.
+
+    Attributes:
+        http: A client of it.
+        service: What its endpoints share.
+        settings: Its settings.
+    """
+
+    http: httpx.Client
+    service: Service
+    settings: Settings
+
+    def submit(self, **changes: Any) -> dict[str, Any]:
+        """Submit a small morph."""
+        answer = self.http.post("/v1/jobs", json=MORPH | changes)
+        assert answer.status_code == 202, answer.text
+        job: dict[str, Any] = answer.json()
+        return job
+
+    def uploads(self) -> list[Path]:
+        """Files of uploads that are still lying about."""
+        return [path for path in self.service.storage.uploads.iterdir() if path.name[0] != "."]
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[Api]:
+    """Answer requests in a thread of this process."""
+    listener = listen(settings)
+    server = ApiServer(settings)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    try:
+        while not server.started:
+            assert thread.is_alive(), "the API did not start"
+            time.sleep(0.01)
+        with httpx.Client(base_url=address(settings, listener), timeout=60) as http:
+            yield Api(http, server.service, settings)
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        listener.close()
+
+
+@pytest.fixture
+def make_api(tmp_path: Path) -> Iterator[Callable[..., Api]]:
+    """Starts an API with the given settings, on SQLite unless they name a database."""
+    with ExitStack() as stack:
+
+        def make(**settings: Any) -> Api:
+            folder = tmp_path / f"data-{uuid.uuid4().hex[:6]}"
+            values = {"data_dir": folder, "port": 0, "host": "127.0.0.1"} | settings
+            return stack.enter_context(serving(Settings(_env_file=None, **values)))
+
+        yield make
+
+
+@pytest.fixture
+def api(make_api: Callable[..., Api]) -> Api:
+    """An API on SQLite with the usual settings."""
+    return make_api()
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[str]:
+    """A database of its own on the real server, gone afterwards; skips where none answers."""
+    name = f"morph_api_{uuid.uuid4().hex[:12]}"
+    try:
+        admin = psycopg.connect(f"{POSTGRES}/postgres", autocommit=True, connect_timeout=3)
+    except psycopg.OperationalError as error:
+        pytest.skip(f"no PostgreSQL answers at 127.0.0.1:5432 ({error})")
+    with admin:
+        admin.execute(f"create database {name}")
+        yield f"{POSTGRES}/{name}"
+        admin.execute(f"drop database {name} with (force)")
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def either(request: pytest.FixtureRequest, make_api: Callable[..., Api]) -> Api:
+    """An API on SQLite, and one on Postgres."""
+    if request.param == "sqlite":
+        return make_api()
+    return make_api(database_url=request.getfixturevalue("postgres"))
+
+
+@pytest.fixture
+def cube() -> bytes:
+    """A mesh file: a cube of 1000 cubic grid units."""
+    return CUBE.encode()

@@ -1,0 +1,114 @@
+"""The contract: committed, true, and one shape for every error."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.access import CACHE_SECONDS
+from server.app import create_app
+from server.contract import text
+from server.schemas import ProblemDocument
+from tests.integration.api.conftest import Api
+from worker.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[3]
+CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text(encoding="utf-8"))
+OPERATIONS = [
+    (method, path, operation)
+    for path, item in CONTRACT["paths"].items()
+    for method, operation in item.items()
+]
+SAMPLES = {
+    "job_id": "0" * 26, "sweep_id": "0" * 26, "mesh_id": "0" * 64, "worker_id": "none-slot9",
+    "name": "none", "index": "0",
+}  # fmt: skip
+
+
+def test_the_committed_contract_is_the_apps() -> None:
+    """`python -m server openapi > openapi/openapi.json` brings it up to date."""
+    assert json.loads(text(create_app(Settings(_env_file=None)))) == CONTRACT
+
+
+def test_every_operation_is_described() -> None:
+    """An id, a summary, a description and a shape for each error."""
+    names = [operation["operationId"] for _, _, operation in OPERATIONS]
+    assert len(set(names)) == len(names)
+    for method, path, operation in OPERATIONS:
+        assert operation["summary"] and operation["description"], (method, path)
+        errors = {code: body for code, body in operation["responses"].items() if code >= "400"}
+        assert "500" in errors
+        for code, body in errors.items():
+            assert body == {"$ref": f"#/components/responses/{code}"}
+    for answer in CONTRACT["components"]["responses"].values():
+        assert list(answer["content"]) == ["application/problem+json"]
+
+
+def test_every_operation_is_documented() -> None:
+    """docs/api.md names each address."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    for method, path, _ in OPERATIONS:
+        assert f"{method.upper()} {path.removeprefix('/v1')}" in page, (method, path)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        (method, path, example["value"])
+        for method, path, operation in OPERATIONS
+        for example in operation.get("requestBody", {})
+        .get("content", {})
+        .get("application/json", {})
+        .get("examples", {})
+        .values()
+    ],
+)
+def test_the_examples_work(api: Api, method: str, path: str, body: Any) -> None:
+    """Each example of the contract is accepted as it stands."""
+    answer = api.http.request(method, path, json=body)
+    assert answer.status_code in (201, 202), answer.text
+
+
+@pytest.mark.parametrize(("method", "path"), [(m, p) for m, p, _ in OPERATIONS])
+def test_every_error_has_one_shape(api: Api, method: str, path: str) -> None:
+    """Unknown ids, wrong methods, broken bodies and bad queries answer one kind of document."""
+    sampled = re.sub(r"{(\w+)}", lambda name: SAMPLES[name[1]], path)
+    answers = [
+        api.http.request("PATCH", sampled),
+        api.http.request(method, sampled + "/nowhere"),
+        api.http.request(method, sampled, headers={"Authorization": "Bearer wrong"}),
+        api.http.request(method, sampled, content=b"\xff{", headers={"Content-Type": "x/y"}),
+        api.http.request(method, sampled, params={"limit": "-1", "after": "x", "format": "?"}),
+        api.http.request(method, sampled, headers={"Range": "bytes=9999999-"}),
+    ]
+    assert [answer.status_code // 100 for answer in answers[:2]] == [4, 4]
+    for answer in answers:
+        if answer.status_code >= 400:
+            assert answer.headers["content-type"] == "application/problem+json"
+            problem = ProblemDocument.model_validate_json(answer.content)
+            assert problem.status == answer.status_code and problem.detail and problem.remedy
+    assert answers[0].status_code == 405
+    assert answers[0].headers["Allow"] == ", ".join(sorted(map(str.upper, CONTRACT["paths"][path])))
+
+
+def test_health_and_figures(api: Api) -> None:
+    """Alive, ready, and what Prometheus reads."""
+    api.submit()
+    assert api.http.get("/livez").json() == api.http.get("/readyz").json() == {"status": "ok"}
+    figures = api.http.get("/metrics").text
+    assert 'morph_jobs{state="queued"} 1.0' in figures
+    assert 'morph_requests_total{operation="submitJob",status="202"} 1.0' in figures
+
+
+def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:
+    """Without its tables the API answers 503, and is not ready for anything but that."""
+    with api.service.engine.begin() as connection:
+        connection.exec_driver_sql("alter table morph_keys rename to gone")
+    time.sleep(CACHE_SECONDS)  # until the keys are read again
+    answer = api.http.get("/v1/jobs")
+    assert answer.status_code == 503 and answer.json()["remedy"]

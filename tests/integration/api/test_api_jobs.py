@@ -1,0 +1,225 @@
+"""Jobs and sweeps over HTTP: submit, list, act, limits, idempotency; no worker runs here."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+
+from morph_engine import configure
+from morph_engine.morphing import prepare
+from morph_engine.spool import Spool
+from tests.integration.api.conftest import MORPH, Api
+
+
+def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
+    """The answer is 202 with its place, its position and an estimate of the time left."""
+    answer = either.http.post("/v1/jobs", json=MORPH | {"name": "first", "seed": 7, "priority": 5})
+    job = answer.json()
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["Location"] == f"/v1/jobs/{job['id']}" and "Retry-After" in answer.headers
+    assert (job["state"], job["queue_position"], job["progress"]["frames"]) == ("queued", 0, 3)
+    assert job["progress"]["seconds_left"] > 0
+    assert (job["seed"], job["priority"], job["method"]) == (7, 5, "joint")
+    assert either.submit()["queue_position"] == 1
+    assert either.http.get(answer.headers["Location"]).json()["name"] == "first"
+    config = either.http.get(f"/v1/jobs/{job['id']}/config").json()
+    assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-2")
+
+
+def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:
+    """Unknown presets, settings, methods, shapes and meshes answer 422 with a remedy."""
+    faults = [
+        {"preset": "fats"},
+        {"overrides": {"chamfer.wieght": 5}},
+        {"overrides": {"chamfer.weight": -1}},
+        {"overrides": {"chamfer.weight": "inf"}},
+        {"overrides": {"preset": "x"}},
+        {"overrides": {"frames": 4}},
+        {"method": "jiont"},
+        {"source": {"shape": "spere"}},
+        {"source": {"shape": "/etc/passwd"}},
+        {"source": {"shape": "text:"}},
+        {"source": {"mesh": "0" * 64}},
+        {"source": {"mesh": "nonsense"}},
+        {"frames": 0},
+        {"unknown": 1},
+    ]
+    for fault in faults:
+        answer = api.http.post("/v1/jobs", json=MORPH | fault)
+        assert answer.status_code == 422 and answer.json()["remedy"], (fault, answer.text)
+    for body in (b"", b"{", b'{"frames": NaN}', b"[" * 100_000, b'"\xff"', b"null"):
+        answer = api.http.post(
+            "/v1/jobs", content=body, headers={"Content-Type": "application/json"}
+        )
+        assert answer.status_code == 422, answer.text
+    assert api.http.post("/v1/jobs", content=b"{}").status_code == 415
+    assert not api.http.get("/v1/jobs").json()["items"]
+
+
+def test_a_repeated_submit_is_one_job(either: Api) -> None:
+    """The same key and body answer the same job; another body is refused."""
+    headers = {"Idempotency-Key": "a b/c"}
+    first = either.http.post("/v1/jobs", json=MORPH, headers=headers)
+    again = either.http.post("/v1/jobs", json=MORPH, headers=headers)
+    other = either.http.post("/v1/jobs", json=MORPH | {"frames": 4}, headers=headers)
+    assert [first.status_code, again.status_code, other.status_code] == [202, 200, 422]
+    assert first.json()["id"] == again.json()["id"]
+    assert len(either.http.get("/v1/jobs?limit=100").json()["items"]) >= 1
+
+
+def test_jobs_are_listed_by_state_method_and_page(either: Api) -> None:
+    """Filters and cursors show each job once, the newest first."""
+    name = "listed"
+    ids = [either.submit(name=name, method=method)["id"] for method in ("joint", "physics") * 2]
+    either.http.post(f"/v1/jobs/{ids[0]}/cancel")
+    seen, cursor = [], None
+    while cursor is not None or not seen:
+        query = {"limit": 3} | ({"cursor": cursor} if cursor else {})
+        page = either.http.get("/v1/jobs", params=query).json()
+        seen += [job["id"] for job in page["items"] if job["name"] == name]
+        cursor = page["next_cursor"]
+        if cursor is None:
+            break
+    assert seen == ids[::-1]
+    cancelled = either.http.get("/v1/jobs?state=cancelled").json()["items"]
+    assert ids[0] in [job["id"] for job in cancelled]
+    physics = either.http.get("/v1/jobs?method=physics&state=queued&state=running").json()["items"]
+    assert [job["id"] for job in physics if job["name"] == name] == [ids[3], ids[1]]
+    assert either.http.get("/v1/jobs?cursor=nonsense").status_code == 422
+
+
+def test_what_may_be_done_with_a_job_depends_on_its_state(either: Api) -> None:
+    """Cancel, resume, retry and delete each work where they make sense and answer 409 elsewhere."""
+    path = f"/v1/jobs/{either.submit()['id']}"
+    for action in ("resume", "retry"):
+        assert either.http.post(f"{path}/{action}").status_code == 409
+    assert either.http.delete(path).status_code == 409
+    assert either.http.get(f"{path}/result").status_code == 409
+    assert either.http.post(f"{path}/cancel").json()["state"] == "cancelled"
+    assert either.http.post(f"{path}/cancel").status_code == 202, "a repeated cancel is no fault"
+    for action in ("resume", "retry"):
+        answer = either.http.post(f"{path}/{action}")
+        assert (answer.status_code, answer.json()["state"]) == (202, "queued"), answer.text
+        either.http.post(f"{path}/cancel")
+    assert either.http.delete(path).status_code == 204
+    for answer in (either.http.get(path), either.http.delete(path)):
+        assert answer.status_code == 404
+
+
+def test_a_sweep_is_every_combination_and_one_table(either: Api) -> None:
+    """Sources x targets x methods x seeds become jobs, once, however often it is sent."""
+    body = {
+        "sources": [{"shape": "sphere"}],
+        "targets": [{"shape": "star"}, {"shape": "torus"}],
+        "methods": ["joint", "physics"],
+        "seeds": [1, 2],
+        "frames": 3,
+        "name": "all",
+    }
+    headers = {"Idempotency-Key": "sweep"}
+    answer = either.http.post("/v1/sweeps", json=body, headers=headers)
+    sweep = answer.json()
+    assert answer.status_code == 202, answer.text
+    rows = [(row["target"], row["method"], row["seed"]) for row in sweep["rows"]]
+    assert rows == list(product(("star", "torus"), ("joint", "physics"), (1, 2)))
+    assert sweep["counts"]["queued"] == 8
+    again = either.http.post("/v1/sweeps", json=body, headers=headers)
+    assert again.status_code == 200 and again.json() == sweep
+    other = either.http.post("/v1/sweeps", json=body | {"seeds": [3]}, headers=headers)
+    assert other.status_code == 422
+    table = either.http.get(answer.headers["Location"], params={"format": "csv"}).text
+    assert table.splitlines()[0] == "job,source,target,method,seed,state"
+    assert len(table.splitlines()) == 9
+    listed = either.http.get("/v1/jobs", params={"sweep": sweep["id"]}).json()["items"]
+    assert {job["id"] for job in listed} == {row["job"] for row in sweep["rows"]}
+
+
+def test_a_sweep_with_a_fault_makes_no_job(api: Api) -> None:
+    """All of it is checked first."""
+    body = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}, {"shape": "no"}]}
+    assert api.http.post("/v1/sweeps", json=body).status_code == 422
+    many = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}], "seeds": [1] * 100}
+    many |= {"methods": ["joint"] * 20}
+    assert api.http.post("/v1/sweeps", json=many).status_code == 422
+    assert not api.http.get("/v1/jobs").json()["items"]
+
+
+def test_limits_are_answered_with_a_time_to_retry(
+    make_api: Callable[..., Api], cube: bytes
+) -> None:
+    """Too many jobs or meshes are 429, a full disk is 413."""
+    api = make_api(queued_jobs_per_key=2, meshes_per_key=1)
+    api.submit(), api.submit()
+    too_many = api.http.post("/v1/jobs", json=MORPH)
+    api.http.post("/v1/meshes?name=a.obj", content=cube)
+    one_more = api.http.post("/v1/meshes?name=b.obj", content=cube + b"#\n")
+    for answer in (too_many, one_more):
+        assert answer.status_code == 429 and int(answer.headers["Retry-After"]) > 0
+    api = make_api(disk_bytes_per_key=1)
+    assert api.http.post("/v1/meshes?name=a.obj", content=cube).status_code == 201
+    api.service.limits.measure_again("")
+    assert api.http.post("/v1/jobs", json=MORPH).status_code == 413
+
+
+def test_frames_and_metrics_are_there_while_the_job_runs(api: Api) -> None:
+    """Every encoding holds the positions of the run directory; metrics come from the events."""
+    job = api.submit(overrides={"sampling.points_per_cell_edge": 2})
+    result = api.service.storage.result_path(job["id"])
+    result.parent.mkdir()
+    config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 3})
+    run = prepare("sphere", "star", config)
+    log = api.service.storage.events(job["id"])
+    with Spool.create(result, run) as spool:
+        for index in range(2):
+            spool.append(index, run.source_points + index, {"two_sided": index})
+            data = {"frame": index, "frames": 3, "attempt": 1, "metrics": {"two_sided": index}}
+            log.append("frame", data | {"seconds": 2.0})
+    path = f"/v1/jobs/{job['id']}"
+    wanted = run.source_points + 1
+    plain = api.http.get(f"{path}/frames/-1")
+    assert plain.headers["Morph-Frame"] == "1"
+    np.testing.assert_array_equal(np.frombuffer(plain.content, "<f4").reshape(-1, 3), wanted)
+    levels = api.http.get(f"{path}/frames/1?format=u16")
+    offset, scale = (float(levels.headers[f"Morph-{name}"]) for name in ("Offset", "Scale"))
+    positions = offset + scale * np.frombuffer(levels.content, "<u2").reshape(-1, 3)
+    np.testing.assert_allclose(positions, wanted, atol=scale / 2 + 1e-6)  # half a level
+    npy = api.http.get(f"{path}/frames/1?format=npy").content
+    np.testing.assert_array_equal(np.frombuffer(npy[128:], "<f4").reshape(-1, 3), wanted)
+    ply = api.http.get(f"{path}/frames/1?format=ply").content
+    assert ply.startswith(b"ply\n") and ply.endswith(wanted.astype("<f4").tobytes())
+    known = {"If-None-Match": plain.headers["ETag"]}
+    assert api.http.get(f"{path}/frames/1", headers=known).status_code == 304
+    assert api.http.get(f"{path}/frames/2").status_code == 404
+    assert [row["two_sided"] for row in api.http.get(f"{path}/metrics").json()] == [0, 1]
+    assert api.http.get(f"{path}/metrics?format=csv").text.split() == [
+        "frame,two_sided,seconds", "0,0,2.0", "1,1,2.0",
+    ]  # fmt: skip
+    progress = api.http.get(path).json()["progress"]
+    assert (progress["frame"], progress["metrics"]) == (2, {"two_sided": 1})
+    assert api.http.get(f"{path}/log").text == ""
+
+
+def test_the_catalog_names_what_there_is(api: Api) -> None:
+    """Presets with their settings, methods, shapes and the schema of the configuration."""
+    presets = api.http.get("/v1/presets").json()
+    assert presets[0]["name"] == "fast"
+    assert api.http.get("/v1/presets/paper").json()["config"]["preset"] == "paper-1"
+    assert api.http.get("/v1/presets/none").status_code == 404
+    assert {"joint", "physics"} <= {m["name"] for m in api.http.get("/v1/methods").json()}
+    assert all(method["description"] for method in api.http.get("/v1/methods").json())
+    assert {"sphere", "text:WORD"} <= {s["name"] for s in api.http.get("/v1/shapes").json()}
+    schema = api.http.get("/v1/schemas/config").json()
+    assert "chamfer" in schema["properties"]
+    json.dumps(schema)
+
+
+def test_the_api_never_loads_taichi(api: Api) -> None:
+    """It costs a second and memory, and only engine processes need it."""
+    code = "import sys, server.app, server.answering; sys.exit('taichi' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert api.http.get("/v1/methods").status_code == 200

@@ -1,0 +1,116 @@
+"""Keys: who needs one, what it allows, what it sees."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from server.tables import KEYS
+from tests.integration.api.conftest import MORPH, Api
+
+
+def _key(api: Api, name: str, *scopes: str, by: dict[str, str] | None = None) -> dict[str, str]:
+    answer = api.http.post("/v1/keys", json={"name": name, "scopes": list(scopes)}, headers=by)
+    assert answer.status_code == 201, answer.text
+    return {"Authorization": f"Bearer {answer.json()['secret']}"}
+
+
+def test_the_first_key_closes_the_door(either: Api) -> None:
+    """Without keys the same machine is free; from the first key on each request needs one."""
+    assert either.http.get("/v1/jobs").status_code == 200
+    assert either.http.post("/v1/keys", json={"name": "a"}).status_code == 409, "not an admin"
+    root = _key(either, "root", "admin")
+    missing = either.http.get("/v1/jobs")
+    assert missing.status_code == 401 and missing.headers["WWW-Authenticate"] == "Bearer"
+    for header in ("Bearer nonsense", "Bearer", "Basic x", "nonsense"):
+        wrong = either.http.get("/v1/jobs", headers={"Authorization": header})
+        assert wrong.status_code == 401, header
+    assert either.http.get("/v1/jobs", headers=root).status_code == 200
+    with either.service.engine.connect() as connection:
+        row = connection.execute(sa.select(KEYS)).one()
+    assert root["Authorization"].split()[1] not in str(row), "only a digest is stored"
+    assert either.http.delete("/v1/keys/root", headers=root).status_code == 204
+    assert either.http.get("/v1/jobs").status_code == 200
+    assert either.http.get("/v1/jobs", headers=root).status_code == 401
+
+
+def test_scopes_include_those_below_them(api: Api) -> None:
+    """A reader cannot submit, a submitter cannot make keys."""
+    root = _key(api, "root", "admin")
+    reader, writer = _key(api, "r", "read", by=root), _key(api, "w", "submit", by=root)
+    assert api.http.get("/v1/jobs", headers=reader).status_code == 200
+    assert api.http.post("/v1/jobs", json=MORPH, headers=reader).status_code == 403
+    assert api.http.post("/v1/jobs", json=MORPH, headers=writer).status_code == 202
+    for path in ("/v1/keys", "/v1/workers"):
+        assert api.http.get(path, headers=writer).status_code == 403
+        assert api.http.get(path, headers=root).status_code == 200
+    assert api.http.post("/v1/keys", json={"name": "r"}, headers=root).status_code == 409
+    assert api.http.delete("/v1/keys/root", headers=root).status_code == 409, "the last admin"
+    assert api.http.delete("/v1/keys/none", headers=root).status_code == 404
+
+
+def test_a_key_sees_its_own_things(api: Api, cube: bytes) -> None:
+    """Another key's jobs, sweeps and meshes do not exist for it; an admin sees all."""
+    root = _key(api, "root", "admin")
+    ann, bob = _key(api, "ann", "submit", by=root), _key(api, "bob", "submit", by=root)
+    mesh = api.http.post("/v1/meshes?name=a.obj", content=cube, headers=ann).json()["id"]
+    body: dict[str, Any] = MORPH | {"source": {"mesh": mesh}}
+    job = api.http.post("/v1/jobs", json=body, headers=ann).json()
+    sweep = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}]}
+    swept = api.http.post("/v1/sweeps", json=sweep, headers=ann).json()["id"]
+    assert job["owner"] == "ann"
+    paths = [f"/v1/meshes/{mesh}", f"/v1/jobs/{job['id']}", f"/v1/jobs/{job['id']}/events"]
+    for path in [*paths, f"/v1/jobs/{job['id']}/log", f"/v1/sweeps/{swept}"]:
+        codes = [api.http.get(path, headers=key).status_code for key in (ann, bob, root)]
+        assert codes == [200, 404, 200], path
+    assert api.http.post("/v1/jobs", json=body, headers=bob).status_code == 422
+    assert api.http.post(f"/v1/jobs/{job['id']}/cancel", headers=bob).status_code == 404
+    counts = [len(api.http.get("/v1/jobs", headers=k).json()["items"]) for k in (ann, bob, root)]
+    assert counts == [2, 0, 2]
+    assert api.http.get("/v1/jobs?owner=ann", headers=bob).status_code == 403
+    again = api.http.post("/v1/meshes?name=b.obj", content=cube, headers=bob)
+    assert again.status_code == 201, "the bytes are shared, the upload is not"
+    assert api.http.delete(f"/v1/meshes/{mesh}", headers=bob).status_code == 204
+    assert api.http.get(f"/v1/meshes/{mesh}", headers=ann).status_code == 200
+    repeated = {"Idempotency-Key": "1"}
+    first = api.http.post("/v1/jobs", json=MORPH, headers=ann | repeated)
+    other = api.http.post("/v1/jobs", json=MORPH, headers=bob | repeated)
+    assert [first.status_code, other.status_code] == [202, 202], "keys do not share theirs"
+
+
+def test_pages_of_other_sites_stay_out(api: Api) -> None:
+    """Without keys, neither a foreign host name nor a foreign page gets through a browser."""
+    assert api.http.get("/v1/jobs", headers={"Host": "evil.example"}).status_code == 403
+    foreign = {"Sec-Fetch-Site": "cross-site"}
+    assert api.http.post("/v1/jobs", json=MORPH, headers=foreign).status_code == 403
+    own = {"Sec-Fetch-Site": "same-origin"}
+    assert api.http.post("/v1/jobs", json=MORPH, headers=own).status_code == 202
+
+
+def test_other_addresses_need_keys(tmp_path: Path) -> None:
+    """The API refuses to listen to other machines until there is a key."""
+    environment = os.environ | {
+        "MORPH_DATA_DIR": str(tmp_path), "MORPH_HOST": "0.0.0.0", "MORPH_PORT": "0",
+    }  # fmt: skip
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "server", *arguments]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+
+    for command in ("check", "api", "serve"):
+        refused = run(command)
+        assert refused.returncode == 2 and "keys add" in refused.stderr, refused.stderr
+    made = run("keys", "add", "root", "--scope", "admin")
+    assert made.returncode == 0 and made.stdout.startswith("morph_")
+    assert run("keys", "add", "root").returncode == 2
+    assert '"root"' in run("keys", "list").stdout
+    assert run("check").returncode == 0
+    assert run("keys", "remove", "root").returncode == 0
+    assert run("check").returncode == 2

@@ -1,0 +1,1 @@
+"""Durable execution of morph jobs: queue, engine processes, storage, adoption of lost work."""

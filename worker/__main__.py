@@ -1,0 +1,84 @@
+"""Processes of the worker room: `python -m worker run | janitor | adopt | migrate`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+
+from worker import workers
+from worker.settings import Settings
+
+HEARTBEAT_SECONDS = 4.0
+
+
+def main() -> None:
+    """Run one process until it is told to end."""
+    parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    slot = commands.add_parser("run", help="work on jobs, one at a time")
+    slot.add_argument("--slot", type=int, default=0, help="number of this slot on this machine")
+    commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
+    adopt = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
+    adopt.add_argument("executor")
+    commands.add_parser("migrate", help="create or upgrade the tables")
+    arguments = parser.parse_args()
+    logging.basicConfig(
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
+    )
+    settings = Settings()
+    if arguments.command == "run":
+        run_slot(settings, workers.executor_id(arguments.slot))
+    elif arguments.command == "janitor":
+        from worker import janitor
+
+        janitor.run(settings)
+    elif arguments.command == "adopt":
+        from worker.workflow import launch
+
+        launch(settings, arguments.executor, listen=False)
+        sys.stdout.flush()
+        os._exit(0)
+    else:
+        from worker.queue import JobQueue
+
+        JobQueue(settings).migrate()
+
+
+def run_slot(settings: Settings, executor: str) -> None:
+    """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
+    from worker.liveness import try_lock
+    from worker.queue import JobQueue
+    from worker.storage import Storage
+    from worker.workflow import PAUSED, launch
+
+    Storage(settings.data_dir)
+    queue = JobQueue(settings)
+    queue.migrate()
+    lock = try_lock(settings, executor)
+    if lock is None:
+        sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
+    workers.introduce(settings.data_dir, executor)
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    paused = workers.is_paused(settings.data_dir, executor)
+    if not paused:
+        launch(settings, executor)
+    last_beat = time.monotonic()
+    while not ended.wait(0.5):
+        if time.monotonic() - last_beat > HEARTBEAT_SECONDS:
+            last_beat = time.monotonic()
+            if not lock.held():
+                os._exit(1)  # somebody else may take its jobs: stop at once
+        if paused and not workers.is_paused(settings.data_dir, executor):
+            os._exit(PAUSED)  # start again, unpaused
+    os._exit(0)  # its engine process ends with it
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""What happened to a job, one JSON line per event; the line number is the event's id."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+TAIL_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class LoggedEvent:
+    """One event.
+
+    Attributes:
+        id: 1-based line number.
+        type: attempt, frame, watchdog or problem.
+        at: When it happened.
+        data: What belongs to it, as JSON.
+    """
+
+    id: int
+    type: str
+    at: datetime
+    data: dict[str, Any]
+
+
+class EventLog:
+    """The events of one job; one process appends, any number read.
+
+    Args:
+        path: The file, which need not exist yet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def append(self, type: str, data: dict[str, Any]) -> None:
+        """Add an event, in one write, so that a kill leaves whole lines and at most one torn end.
+
+        Raises:
+            OSError: The disk refuses.
+        """
+        at = datetime.now(timezone.utc).isoformat()
+        line = json.dumps({"at": at, "type": type, "data": _finite(data)}) + "\n"
+        with self.path.open("a+b") as file:
+            torn = file.tell() and os.pread(file.fileno(), 1, file.tell() - 1) != b"\n"
+            file.write((b"\n" if torn else b"") + line.encode())
+
+    def read(self, after: int = 0, limit: int = 1000) -> list[LoggedEvent]:
+        """Events with an id above `after`, the oldest first, at most `limit` of them."""
+        events: list[LoggedEvent] = []
+        try:
+            with self.path.open("rb") as file:
+                for number, line in enumerate(file, 1):
+                    if number > after and len(events) < limit:
+                        events += _parsed(number, line)
+        except FileNotFoundError:
+            pass
+        return events
+
+    def tail(self) -> list[LoggedEvent]:
+        """The last events, the newest last; their ids are not known and given as 0."""
+        try:
+            with self.path.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(size - TAIL_BYTES, 0))
+                lines = file.read().splitlines(keepends=True)
+        except FileNotFoundError:
+            return []
+        whole = lines if size <= TAIL_BYTES else lines[1:]
+        return [event for line in whole for event in _parsed(0, line)]
+
+
+def _parsed(number: int, line: bytes) -> list[LoggedEvent]:
+    """The event of a line; none if the line is torn."""
+    if not line.endswith(b"\n"):
+        return []
+    try:
+        event = json.loads(line)
+        at = datetime.fromisoformat(event["at"])
+        return [LoggedEvent(number, event["type"], at, event["data"])]
+    except (ValueError, KeyError, TypeError):
+        return []
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: leave such numbers out."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items() if not _is_odd(inner)}
+    if isinstance(value, list | tuple):
+        return [None if _is_odd(inner) else _finite(inner) for inner in value]
+    return value
+
+
+def _is_odd(value: Any) -> bool:
+    return isinstance(value, float) and not math.isfinite(value)

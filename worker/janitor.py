@@ -1,0 +1,108 @@
+"""Adoption of jobs whose worker is gone, and retention of finished ones."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import time
+from datetime import datetime, timedelta, timezone
+
+from worker.job import JobState
+from worker.liveness import try_lock
+from worker.queue import JobQueue, JobRecord
+from worker.settings import Settings
+from worker.storage import Storage
+
+log = logging.getLogger(__name__)
+
+FINISHED = [state for state in JobState if state.finished]
+RETENTION_SECONDS = 60.0
+ADOPTION_LIMIT_SECONDS = 60.0
+
+
+def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
+    """Put the jobs of dead workers back into the queue.
+
+    A short-lived process takes on the name of each dead worker: at its start it finds the jobs
+    that the worker left and queues them again. The worker's lock, held meanwhile, keeps a second
+    janitor and the worker itself away.
+
+    Returns:
+        Names of the workers found dead.
+    """
+    dead = []
+    for executor in queue.running():
+        lock = try_lock(settings, executor)
+        if lock is None:
+            continue
+        try:
+            log.warning("worker %s is gone; its jobs go back into the queue", executor)
+            subprocess.run(
+                [sys.executable, "-m", "worker", "adopt", executor],
+                timeout=ADOPTION_LIMIT_SECONDS, check=True,
+            )  # fmt: skip
+            dead.append(executor)
+        finally:
+            lock.release()
+    return dead
+
+
+def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
+    """Delete finished jobs that are too old, and the oldest beyond the allowed space.
+
+    Returns:
+        Ids of the deleted jobs.
+    """
+    storage = Storage(settings.data_dir)
+    deleted = []
+    for record in _finished(queue):
+        if _is_expired(settings, record):
+            _delete(queue, storage, record)
+            deleted.append(record.id)
+    if settings.retention_bytes:
+        kept = 0
+        for record in _finished(queue):
+            kept += storage.job_bytes(record.id)
+            if kept > settings.retention_bytes:
+                _delete(queue, storage, record)
+                deleted.append(record.id)
+    return deleted
+
+
+def run(settings: Settings) -> None:
+    """Do both for ever."""
+    queue = JobQueue(settings)
+    queue.migrate()
+    next_deletion = 0.0
+    while True:
+        try:
+            adopt_orphans(settings, queue)
+            if time.monotonic() > next_deletion:
+                delete_expired(settings, queue)
+                next_deletion = time.monotonic() + RETENTION_SECONDS
+        except Exception:  # the database is away, or an adoption failed: try again
+            log.exception("the janitor has to try again")
+        time.sleep(settings.adoption_seconds)
+
+
+def _finished(queue: JobQueue) -> list[JobRecord]:
+    """All finished jobs, the newest first."""
+    records: list[JobRecord] = []
+    while True:
+        last = (records[-1].created_at, records[-1].id) if records else None
+        page = queue.list(states=FINISHED, before=last, limit=1000)
+        records += page
+        if len(page) < 1000:
+            return records
+
+
+def _is_expired(settings: Settings, record: JobRecord) -> bool:
+    age = datetime.now(timezone.utc) - (record.finished_at or record.created_at)
+    return settings.retention_days > 0 and age > timedelta(days=settings.retention_days)
+
+
+def _delete(queue: JobQueue, storage: Storage, record: JobRecord) -> None:
+    log.info("job %s has expired", record.id)
+    queue.delete(record.id)
+    storage.remove_job(record.id)

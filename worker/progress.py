@@ -1,0 +1,47 @@
+"""How far a job has come, read from the end of its event log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from worker.job import JobSpec
+from worker.storage import Storage
+
+
+@dataclass(frozen=True)
+class JobProgress:
+    """How far a job has come.
+
+    Attributes:
+        frame: Finished frames.
+        frames: Frames asked for.
+        attempt: Number of the current attempt; 0 before the first.
+        metrics: Metrics of the last finished frame.
+        seconds_left: Estimate of the time left [s], None without a frame to judge by.
+    """
+
+    frame: int
+    frames: int
+    attempt: int = 0
+    metrics: dict[str, float] = field(default_factory=dict)
+    seconds_left: float | None = None
+
+
+def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
+    """The progress of a job."""
+    events = storage.events(job_id).tail()
+    frames = [event for event in events if event.type == "frame"]
+    attempts = [event.data["attempt"] for event in events if "attempt" in event.data]
+    total = int(spec.config["frames"])
+    if not frames:
+        return JobProgress(0, total, max(attempts, default=0))
+    last = frames[-1].data
+    done = int(last["frame"]) + 1
+    seconds = [float(event.data["seconds"]) for event in frames[-5:]]
+    return JobProgress(
+        frame=done,
+        frames=total,
+        attempt=int(last["attempt"]),
+        metrics=last["metrics"],
+        seconds_left=(total - done) * sum(seconds) / len(seconds),
+    )

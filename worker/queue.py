@@ -1,0 +1,425 @@
+"""The queue as the API sees it: jobs in, their state out. With `workflow.py`, all that knows DBOS.
+
+A job is a DBOS workflow. Its status, input, result and error live in the workflow's row and nowhere
+else; owner, name and the like are attributes of that row.
+
+Owners take turns (start-time fair queuing, Goyal et al. 1996): a job's place in the queue is one
+more than that of its owner's last job, or than that of the job started last, whichever is larger.
+DBOS starts jobs in the order of these places, which it calls priority. An owner's own priorities
+decide which of their jobs takes which of their places.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sqlite3
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+import sqlalchemy as sa
+from dbos import (
+    DBOS,
+    DBOSClient,
+    PortableWorkflowError,
+    WorkflowSerializationFormat,
+    WorkflowStatus,
+)
+from dbos import error as dbos_error
+
+from worker.job import JobSpec, JobState, Outcome, Problem
+from worker.settings import Settings
+from worker.state import job_state, statuses
+from worker.storage import Storage
+
+APPLICATION = "morph"
+APPLICATION_VERSION = "1"
+WORKFLOW = "morph"
+QUEUE = "jobs"
+NOBODY = "-"
+"""Owner of jobs submitted without a key."""
+
+_DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A job as the queue knows it.
+
+    Attributes:
+        id: Its id.
+        owner: Name of the key that submitted it; empty without keys.
+        state: Where it stands.
+        spec: What to compute.
+        name: The user's name for it.
+        sweep: The sweep it belongs to, if any.
+        priority: Smaller runs earlier among the owner's jobs.
+        attributes: Everything that was attached to it.
+        created_at, started_at, finished_at: Times in UTC, None while still to come.
+        executor: The worker slot that runs it or ran it last.
+        outcome: What it left, once it has succeeded.
+        problem: Why it failed or timed out.
+    """
+
+    id: str
+    owner: str
+    state: JobState
+    spec: JobSpec
+    name: str
+    sweep: str | None
+    priority: int
+    attributes: dict[str, Any]
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    executor: str | None
+    outcome: Outcome | None
+    problem: Problem | None
+
+
+def new_job_id() -> str:
+    """An id that sorts by time: 48 bits of milliseconds, 80 random bits, in Crockford's base 32."""
+    number = int(time.time() * 1000) << 80 | secrets.randbits(80)
+    return "".join(_DIGITS[number >> shift & 31] for shift in range(125, -1, -5))
+
+
+class JobQueue:
+    """The queue, without the means to run a job. Calls block; any thread may make them.
+
+    Args:
+        settings: Which database.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._engine = database(settings)
+        self._client = DBOSClient(
+            system_database_url=settings.system_database_url,
+            system_database_engine=self._engine,
+            application_name=APPLICATION,
+            lazy=True,
+        )
+
+    def migrate(self) -> None:
+        """Create or upgrade the tables and the queue; harmless to repeat."""
+        migrate(self._settings)
+        self._client.register_queue(
+            QUEUE,
+            worker_concurrency=1,
+            polling_interval_sec=self._settings.poll_seconds,
+        )
+
+    def enqueue(
+        self,
+        spec: JobSpec,
+        *,
+        job_id: str,
+        owner: str,
+        name: str = "",
+        sweep: str | None = None,
+        priority: int = 100,
+        attributes: Mapping[str, str | int | float] | None = None,
+    ) -> bool:
+        """Put a job into the queue.
+
+        Args:
+            spec: What to compute.
+            job_id: Its id; submitting the same id again changes nothing.
+            owner: Name of the submitting key; slots are shared out evenly between owners.
+            name: The user's name for it.
+            sweep: The sweep it belongs to.
+            priority: 1 to 1000; smaller runs earlier among the owner's jobs.
+            attributes: More to attach; `method` can be listed by.
+
+        Returns:
+            False if the id is taken.
+        """
+        extra = {"name": name, "owner": owner, "priority": priority, **(attributes or {})}
+        if sweep is not None:
+            extra["sweep"] = sweep
+        try:
+            self._client.enqueue(
+                {
+                    "workflow_name": WORKFLOW,
+                    "queue_name": QUEUE,
+                    "workflow_id": job_id,
+                    "workflow_id_reuse_policy": "reject",
+                    "app_version": APPLICATION_VERSION,
+                    "workflow_timeout": spec.timeout_seconds,
+                    "priority": self._next_place(owner),
+                    "authenticated_user": owner or NOBODY,
+                    "serialization_type": WorkflowSerializationFormat.PORTABLE,
+                    "attributes": extra,
+                },
+                spec.model_dump(mode="json"),
+            )
+        except dbos_error.DBOSWorkflowIDInUseError:
+            return False
+        self._order_by_priority(owner)
+        return True
+
+    def get(self, job_id: str) -> JobRecord | None:
+        """A job, or None where there is none of that id."""
+        found = self._client.list_workflows(workflow_ids=[job_id], name=WORKFLOW)
+        return _record(found[0]) if found else None
+
+    def list(
+        self,
+        *,
+        owner: str | None = None,
+        states: Collection[JobState] | None = None,
+        sweep: str | None = None,
+        method: str | None = None,
+        before: tuple[datetime, str] | None = None,
+        limit: int = 100,
+    ) -> list[JobRecord]:
+        """Jobs, the newest first.
+
+        Args:
+            owner: Only jobs of this key; None for all.
+            states: Only jobs in these states.
+            sweep: Only jobs of this sweep.
+            method: Only jobs of this method.
+            before: Only jobs older than this one, by its `created_at` and `id`.
+            limit: At most so many.
+        """
+        t = self._table
+        created = sa.cast(t.c.created_at, sa.BigInteger)  # SQLite may store fractions
+        query = sa.select(t.c.workflow_uuid).where(t.c.name == WORKFLOW)
+        if owner is not None:
+            query = query.where(t.c.authenticated_user == (owner or NOBODY))
+        if sweep is not None:
+            query = query.where(t.c.attributes["sweep"].as_string() == sweep)
+        if method is not None:
+            query = query.where(t.c.attributes["method"].as_string() == method)
+        if states:
+            wanted = sorted({status for state in states for status in statuses(state)})
+            query = query.where(t.c.status.in_(wanted))
+            if JobState.TIMED_OUT not in states:
+                query = query.where((t.c.status != "CANCELLED") | ~self._late)
+            if JobState.CANCELLED not in states:
+                query = query.where((t.c.status != "CANCELLED") | self._late)
+        if before is not None:
+            age = round(before[0].timestamp() * 1000)
+            query = query.where(
+                (created < age) | ((created == age) & (t.c.workflow_uuid < before[1]))
+            )
+        query = query.order_by(created.desc(), t.c.workflow_uuid.desc()).limit(limit)
+        ids = [row.workflow_uuid for row in self._rows(query)]
+        if not ids:
+            return []
+        found = self._client.list_workflows(workflow_ids=ids, name=WORKFLOW)
+        records = {status.workflow_id: _record(status) for status in found}
+        return [records[job_id] for job_id in ids if job_id in records]
+
+    def states(self, job_ids: Collection[str]) -> dict[str, JobState]:
+        """The states of some jobs, without those that do not exist; cheaper than `get`."""
+        t = self._table
+        query = sa.select(t.c.workflow_uuid, t.c.status, self._late).where(
+            t.c.workflow_uuid.in_(list(job_ids)), t.c.name == WORKFLOW
+        )
+        return {
+            job_id: job_state(status, late=bool(late)) for job_id, status, late in self._rows(query)
+        }
+
+    def counts(self, owner: str | None = None) -> dict[JobState, int]:
+        """Number of jobs in each state."""
+        t = self._table
+        query = sa.select(t.c.status, self._late, sa.func.count()).where(t.c.name == WORKFLOW)
+        if owner is not None:
+            query = query.where(t.c.authenticated_user == (owner or NOBODY))
+        counts = dict.fromkeys(JobState, 0)
+        for status, late, count in self._rows(query.group_by(t.c.status, self._late)):
+            counts[job_state(status, late=bool(late))] += count
+        return counts
+
+    def position(self, job_id: str) -> int | None:
+        """Jobs that start before a queued one; None if it is not queued."""
+        t = self._table
+        waiting = (t.c.name == WORKFLOW) & t.c.status.in_(["ENQUEUED", "DELAYED"])
+        found = self._rows(
+            sa.select(t.c.priority, t.c.created_at).where(waiting, t.c.workflow_uuid == job_id)
+        )
+        if not found:
+            return None
+        place, created = found[0]
+        earlier = (t.c.priority < place) | ((t.c.priority == place) & (t.c.created_at < created))
+        return int(self._rows(sa.select(sa.func.count()).where(waiting, earlier))[0][0])
+
+    def cancel(self, job_id: str) -> None:
+        """Stop a job; a running one ends within two seconds and keeps its frames."""
+        self._client.cancel_workflow(job_id)
+
+    def resume(self, job_id: str) -> None:
+        """Queue a finished job again; it goes on from its last frame."""
+        record = self.get(job_id)
+        if record is not None:
+            self._client.rewind_workflow(
+                job_id,
+                application_version=APPLICATION_VERSION,
+                queue_name=QUEUE,
+            )
+
+    def retry(self, job_id: str) -> None:
+        """Queue a finished job again, from the beginning."""
+        Storage(self._settings.data_dir).remove_job(job_id)
+        self.resume(job_id)
+
+    def delete(self, job_id: str) -> None:
+        """Forget a job; its files are for `Storage.remove_job`."""
+        self._client.delete_workflow(job_id)
+
+    def running(self) -> dict[str, set[str]]:
+        """Ids of the running jobs by the worker slot that holds them."""
+        t = self._table
+        query = sa.select(t.c.executor_id, t.c.workflow_uuid).where(
+            t.c.name == WORKFLOW, t.c.status == "PENDING"
+        )
+        jobs: dict[str, set[str]] = {}
+        for executor, job_id in self._rows(query):
+            jobs.setdefault(executor, set()).add(job_id)
+        return jobs
+
+    def ping(self) -> None:
+        """Ask the database for an answer; raises if it has none."""
+        with self._engine.connect() as connection:
+            connection.execute(sa.text("select 1"))
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._client.destroy()
+        self._engine.dispose()
+
+    def _next_place(self, owner: str) -> int:
+        """Place in the queue of the next job of an owner."""
+        t = self._table
+        jobs = t.c.name == WORKFLOW
+        queued, running = t.c.status == "ENQUEUED", t.c.status == "PENDING"
+        mine = t.c.authenticated_user == (owner or NOBODY)
+        query = sa.select(
+            sa.select(sa.func.max(t.c.priority))
+            .where(jobs, mine, queued | running)
+            .scalar_subquery(),
+            sa.select(sa.func.max(t.c.priority)).where(jobs, running).scalar_subquery(),
+            sa.select(sa.func.min(t.c.priority) - 1).where(jobs, queued).scalar_subquery(),
+        )
+        own, started, waiting = self._rows(query)[0]
+        return 1 + max(own or 0, started if started is not None else waiting or 0)
+
+    def _order_by_priority(self, owner: str) -> None:
+        """Give an owner's queued jobs their places in the order of the owner's priorities."""
+        t = self._table
+        query = sa.select(t.c.workflow_uuid, t.c.priority, t.c.attributes["priority"].as_integer())
+        query = query.where(
+            t.c.name == WORKFLOW,
+            t.c.authenticated_user == (owner or NOBODY),
+            t.c.status == "ENQUEUED",
+        )
+        jobs = self._rows(query.order_by(t.c.created_at, t.c.workflow_uuid))
+        places = sorted(place for _, place, _ in jobs)
+        wanted = sorted(jobs, key=lambda job: job[2])
+        with self._client._sys_db.engine.begin() as connection:
+            for (job_id, place, _), better in zip(wanted, places, strict=True):
+                if place != better:
+                    connection.execute(
+                        sa.update(t)
+                        .where(t.c.workflow_uuid == job_id, t.c.status == "ENQUEUED")
+                        .values(priority=better)
+                    )
+
+    @property
+    def _table(self) -> sa.Table:
+        return self._client._sys_db.tables.workflow_status
+
+    @property
+    def _late(self) -> sa.ColumnElement[bool]:
+        """Whether a workflow ended after its deadline."""
+        t = self._table
+        return sa.func.coalesce(t.c.completed_at >= t.c.workflow_deadline_epoch_ms, sa.false())
+
+    def _rows(self, query: Any) -> Sequence[Any]:
+        with self._client._sys_db.engine.connect() as connection:
+            return connection.execute(query).all()
+
+
+def migrate(settings: Settings) -> None:
+    """Create or upgrade the tables of the queue."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    DBOS.migrate(settings.system_database_url)
+
+
+def database(settings: Settings) -> sa.Engine:
+    """An engine for the database of the queue."""
+    url = sa.make_url(settings.system_database_url)
+    if settings.on_postgres:
+        return sa.create_engine(
+            url.set(drivername="postgresql+psycopg"), pool_pre_ping=True, pool_size=10
+        )
+    engine = sa.create_engine(url, connect_args={"timeout": 60, "check_same_thread": False})
+    sa.event.listen(engine, "connect", _prepare_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:
+    """Settings of every SQLite connection, and its clock.
+
+    DBOS reads the clock by unixepoch('subsec'), which libsqlite3 before 3.42 lacks, and before
+    Python 3.12 by strftime('%s'), which counts whole seconds; both are given milliseconds here.
+    """
+    connection.isolation_level = "IMMEDIATE"
+    connection.execute("pragma journal_mode = wal")
+    connection.execute("pragma synchronous = normal")
+    connection.execute("pragma busy_timeout = 60000")
+    connection.execute("pragma foreign_keys = on")
+    for name in ("unixepoch", "strftime"):
+        connection.create_function(name, -1, lambda *_: time.time())
+
+
+def _record(status: WorkflowStatus) -> JobRecord:
+    attributes = status.attributes or {}
+    arguments = (status.input or {"args": ()})["args"]
+    deadline, ended = status.workflow_deadline_epoch_ms, status.completed_at
+    late = deadline is not None and ended is not None and ended >= deadline
+    state = job_state(status.status, late=late)
+    spec = JobSpec.model_validate(arguments[0])
+    return JobRecord(
+        id=status.workflow_id,
+        owner=str(attributes.get("owner", "")),
+        state=state,
+        spec=spec,
+        name=str(attributes.get("name", "")),
+        sweep=attributes.get("sweep"),
+        priority=int(attributes.get("priority", 0)),
+        attributes=attributes,
+        created_at=_time(status.created_at) or datetime.now(timezone.utc),
+        started_at=_time(status.dequeued_at),
+        finished_at=_time(status.completed_at) if state.finished else None,
+        executor=status.executor_id if status.dequeued_at else None,
+        outcome=Outcome.model_validate(status.output) if state is JobState.SUCCEEDED else None,
+        problem=_problem(state, status.error, spec),
+    )
+
+
+def _problem(state: JobState, error: Exception | None, spec: JobSpec) -> Problem | None:
+    if state is JobState.TIMED_OUT:
+        return Problem(
+            cause=f"The job ran longer than its {spec.timeout_seconds:g} s.",
+            remedy="Resume it; it goes on from its last frame.",
+            kind="timeout",
+        )
+    if state is not JobState.FAILED:
+        return None
+    if isinstance(error, PortableWorkflowError) and isinstance(error.data, dict):
+        return Problem.model_validate(error.data)
+    cause = str(error) if error else "Its worker died again and again."
+    return Problem(
+        cause=cause, remedy="Retry it; if it fails again, read its log.", kind="internal"
+    )
+
+
+def _time(milliseconds: int | None) -> datetime | None:
+    if milliseconds is None:
+        return None
+    return datetime.fromtimestamp(int(milliseconds) / 1000, timezone.utc)

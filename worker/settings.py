@@ -1,0 +1,77 @@
+"""Settings of the service, from MORPH_* environment variables or a .env file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+MIB = 1 << 20
+GIB = 1 << 30
+
+
+class Settings(BaseSettings):
+    """Every setting, its default and its meaning; `docs/settings.md` lists them."""
+
+    model_config = SettingsConfigDict(env_prefix="MORPH_", env_file=".env", extra="ignore")
+
+    data_dir: Path = Field(
+        Path.home() / ".local/share/morph", description="Meshes, jobs, results and locks."
+    )
+    database_url: str = Field(
+        "", description="postgresql://... to spread over machines; SQLite in data_dir if empty."
+    )
+    host: str = Field(
+        "127.0.0.1", description="Address to listen on; others than loopback need keys."
+    )
+    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    workers: int = Field(1, ge=0, le=256, description="Worker slots that `morph serve` starts.")
+    threads: int = Field(
+        0, ge=0, description="CPU threads of a job; 0 shares the cores out evenly."
+    )
+    poll_seconds: float = Field(
+        0.25, gt=0, description="How often an idle worker looks for a job [s]."
+    )
+    job_timeout_seconds: float = Field(
+        86400, gt=0, description="Longest running time of a job [s]."
+    )
+    attempts: int = Field(3, ge=1, description="Attempts of a job whose engine crashes or hangs.")
+    retry_seconds: float = Field(
+        1.0, ge=0, description="Pause before the second attempt, doubled for each further one [s]."
+    )
+    stall_seconds: float = Field(
+        900, gt=0, description="A job that finishes no frame for so long counts as hung [s]."
+    )
+    adoption_seconds: float = Field(
+        2.0, gt=0, description="How often the janitor looks for jobs of dead workers [s]."
+    )
+    upload_bytes: int = Field(256 * MIB, gt=0, description="Largest upload [bytes].")
+    body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON request body [bytes].")
+    upload_timeout_seconds: float = Field(
+        60, gt=0, description="An upload that sends nothing for so long is dropped [s]."
+    )
+    inspect_memory_bytes: int = Field(2 * GIB, gt=0, description="Memory to parse a mesh [bytes].")
+    inspect_cpu_seconds: int = Field(60, gt=0, description="CPU time to parse a mesh [s].")
+    meshes_per_key: int = Field(1000, gt=0, description="Meshes that a key may keep.")
+    queued_jobs_per_key: int = Field(1000, gt=0, description="Unfinished jobs that a key may have.")
+    disk_bytes_per_key: int = Field(
+        100 * GIB, gt=0, description="Disk that a key may fill [bytes]."
+    )
+    retention_days: float = Field(
+        0, ge=0, description="Finished jobs are deleted after so long; 0 never."
+    )
+    retention_bytes: int = Field(
+        0, ge=0, description="Oldest finished jobs are deleted beyond this size; 0 never [bytes]."
+    )
+    watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
+
+    @property
+    def system_database_url(self) -> str:
+        """The database in use, as SQLAlchemy spells it."""
+        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'morph.sqlite'}"
+
+    @property
+    def on_postgres(self) -> bool:
+        """Whether the queue spans machines."""
+        return self.system_database_url.startswith("postgres")

@@ -1,0 +1,100 @@
+"""The data directory: meshes by the digest of their file, one directory per job, locks."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from morph_engine.durable import replacing, sync_directory
+from morph_engine.errors import MeshError
+from worker.event_log import EventLog
+from worker.job import MeshShape, Shape
+
+
+class Storage:
+    """Files of the service; every method may be called from any process.
+
+    Args:
+        root: The data directory, created where missing.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+        for name in ("meshes", "uploads", "jobs", "locks", "workers"):
+            (self.root / name).mkdir(parents=True, exist_ok=True)
+
+    @property
+    def uploads(self) -> Path:
+        """Directory of uploads in progress."""
+        return self.root / "uploads"
+
+    def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:
+        """Move an uploaded file to its place; the mesh exists once its report does."""
+        folder = self.root / "meshes" / sha256
+        folder.mkdir(exist_ok=True)
+        os.replace(temporary, folder / f"mesh.{suffix}")
+        with replacing(folder / "report.json") as path:
+            path.write_text(json.dumps({"report": report}), encoding="utf-8")
+        sync_directory(folder.parent)
+
+    def mesh_file(self, sha256: str) -> Path | None:
+        """The file of a mesh, or None where there is none."""
+        folder = self.root / "meshes" / sha256
+        if not (folder / "report.json").exists():
+            return None
+        return next(folder.glob("mesh.*"), None)
+
+    def mesh_report(self, sha256: str) -> dict[str, Any]:
+        """The ingest report of a mesh that exists."""
+        text = (self.root / "meshes" / sha256 / "report.json").read_text(encoding="utf-8")
+        report: dict[str, Any] = json.loads(text)["report"]
+        return report
+
+    def remove_mesh(self, sha256: str) -> None:
+        """Delete a mesh, if it is there."""
+        folder = self.root / "meshes" / sha256
+        (folder / "report.json").unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+    def resolve(self, shape: Shape) -> str:
+        """What the engine takes for a shape: a mesh file, or the name of a built-in one.
+
+        Raises:
+            MeshError: The mesh has been deleted.
+        """
+        if not isinstance(shape, MeshShape):
+            return shape.shape
+        file = self.mesh_file(shape.mesh)
+        if file is None:
+            raise MeshError(f"The mesh {shape.mesh} has been deleted.", "Upload it again.")
+        return str(file)
+
+    def job_dir(self, job_id: str) -> Path:
+        """The directory of a job; it need not exist yet."""
+        return self.root / "jobs" / job_id
+
+    def result_path(self, job_id: str) -> Path:
+        """The result file of a job; its run directory lies beside it while it runs."""
+        return self.job_dir(job_id) / "result.vtkhdf"
+
+    def events(self, job_id: str) -> EventLog:
+        """The event log of a job."""
+        return EventLog(self.job_dir(job_id) / "events.jsonl")
+
+    def job_bytes(self, job_id: str) -> int:
+        """Disk that a job fills [bytes]."""
+        total = 0
+        for folder, _, files in os.walk(self.job_dir(job_id)):
+            for name in files:
+                try:
+                    total += os.stat(os.path.join(folder, name)).st_size
+                except FileNotFoundError:
+                    pass
+        return total
+
+    def remove_job(self, job_id: str) -> None:
+        """Delete what a job left, if anything."""
+        shutil.rmtree(self.job_dir(job_id), ignore_errors=True)

@@ -1,0 +1,119 @@
+"""What a worker slot does with a job, as a DBOS workflow."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+from dbos import DBOS, DBOSConfig, PortableWorkflowError, WorkflowSerializationFormat
+from dbos import error as dbos_error
+
+from worker import queue
+from worker.attempt import AttemptFailed, run_attempt
+from worker.job import JobSpec
+from worker.settings import Settings
+from worker.storage import Storage
+from worker.workers import is_paused
+
+ADOPTIONS = 50
+PAUSED = 77
+
+_settings: Settings
+_executor: str
+
+
+def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
+    """Start working under the name of a slot; jobs it left behind are taken up again.
+
+    Args:
+        settings: Database, storage and limits.
+        executor: Name of the slot.
+        listen: Whether to take new jobs.
+    """
+    global _settings, _executor
+    _settings, _executor = settings, executor
+    config: DBOSConfig = {
+        "name": queue.APPLICATION,
+        "system_database_url": settings.system_database_url,
+        "system_database_engine": queue.database(settings),
+        "executor_id": executor,
+        "application_version": queue.APPLICATION_VERSION,
+        "run_migrations": False,
+        "log_level": "WARNING",
+        "max_executor_threads": 8,
+    }
+    DBOS(config=config)
+    logging.getLogger("dbos").addFilter(_is_news)
+    DBOS.listen_queues([queue.QUEUE] if listen else [])
+    DBOS.launch()
+
+
+@DBOS.workflow(
+    name=queue.WORKFLOW,
+    max_recovery_attempts=ADOPTIONS,
+    serialization_type=WorkflowSerializationFormat.PORTABLE,
+)
+async def morph(spec: dict[str, Any]) -> dict[str, Any]:
+    """Compute a job."""
+    if is_paused(_settings.data_dir, _executor):
+        os._exit(PAUSED)  # the job goes to another slot
+    try:
+        return await compute(spec)
+    except AttemptFailed as failure:
+        problem = failure.problem
+        raise PortableWorkflowError(
+            problem.cause, "JobFailed", None, problem.model_dump(mode="json")
+        ) from None
+
+
+@DBOS.step(preemptible=True)
+async def compute(spec: dict[str, Any]) -> dict[str, Any]:
+    """Attempt a job until it succeeds, is refused, or has failed too often."""
+    job_id = DBOS.workflow_id
+    assert job_id is not None
+    storage = Storage(_settings.data_dir)
+    job_dir = storage.job_dir(job_id)
+    job_dir.mkdir(exist_ok=True)
+    _write_spec(job_dir, spec)
+    log = storage.events(job_id)
+    failures = 0
+    attempt = 1 + sum(1 for event in log.read(limit=10**9) if event.type == "attempt")
+    while True:
+        try:
+            outcome = await run_attempt(job_dir, attempt, _settings, _beat)
+            return outcome.model_dump(mode="json")
+        except AttemptFailed as failure:
+            failures = 1 if failure.frames else failures + 1  # progress earns new patience
+            again = failure.worth_another and failures < _settings.attempts
+            log.append(
+                "problem",
+                {"attempt": attempt, "retry": again, **failure.problem.model_dump(mode="json")},
+            )
+            if not again:
+                raise
+        await asyncio.sleep(_settings.retry_seconds * 2 ** (failures - 1))
+        attempt += 1
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Leave cancelled jobs, which DBOS reports with a traceback, out of the log."""
+    cancelled = (
+        dbos_error.DBOSAwaitedWorkflowCancelledError,
+        dbos_error.DBOSWorkflowCancelledError,
+    )
+    return not (record.exc_info and isinstance(record.exc_info[1], cancelled))
+
+
+async def _beat() -> None:
+    """Raise if this slot has lost the job: the database lets only its owner write."""
+    await DBOS.set_event_async("beat", 0)
+
+
+def _write_spec(job_dir: Path, spec: dict[str, Any]) -> None:
+    text = JobSpec.model_validate(spec).model_dump_json(indent=1)
+    path = job_dir / "spec.json"
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
