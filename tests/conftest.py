@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 import subprocess
+import tempfile
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -52,12 +53,12 @@ POSTGRES = "postgresql://postgres@127.0.0.1:5432/postgres"
 
 
 @pytest.fixture(scope="session")
-def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def postgres() -> Iterator[str]:
     """URL of a real Postgres server: the one of this machine, else a private one."""
     if _answers(POSTGRES):
         yield POSTGRES
         return
-    with private_postgres(tmp_path_factory.mktemp("postgres")) as server:
+    with private_postgres() as server:
         yield server.url
 
 
@@ -76,6 +77,13 @@ def database_url(request: pytest.FixtureRequest) -> Iterator[str]:
         connection.execute(f"drop database {name} with (force)")
 
 
+@pytest.fixture
+def own_postgres() -> Iterator[PrivatePostgres]:
+    """A Postgres server that the test may stop and start."""
+    with private_postgres() as server:
+        yield server
+
+
 @dataclass
 class PrivatePostgres:
     """A Postgres server of a test's own, which may be stopped and started."""
@@ -89,16 +97,16 @@ class PrivatePostgres:
 
 
 @contextmanager
-def private_postgres(folder: Path) -> Iterator[PrivatePostgres]:
-    """Start a Postgres server in a folder; skips the test where none is installed."""
+def private_postgres() -> Iterator[PrivatePostgres]:
+    """Start a Postgres server of our own; skips the test where none is installed."""
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [shutil.which("initdb")]
     if not found[-1]:
         pytest.skip("no Postgres answers at 127.0.0.1:5432 and none is installed to start one")
     programs = Path(found[-1]).parent
     user = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
+    # Postgres refuses to run as root, and its own user may not enter pytest's directories.
+    folder = Path(tempfile.mkdtemp(prefix="morph-postgres-"))
     if user:
-        for path in (folder, *folder.parents[:3]):
-            path.chmod(0o777 if path == folder else 0o755)
         shutil.chown(folder, "postgres")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -117,6 +125,7 @@ def private_postgres(folder: Path) -> Iterator[PrivatePostgres]:
         yield server
     finally:
         server.run("stop")
+        shutil.rmtree(folder)
 
 
 def _answers(url: str) -> bool:

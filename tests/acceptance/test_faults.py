@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 import sqlite3
+import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 
 import psutil
 import pytest
@@ -298,3 +299,58 @@ def test_locked_database(new_cluster, undisturbed):
         connection.execute("begin exclusive")
         time.sleep(10)
     cluster.require_sound(job, undisturbed, kills=0)
+
+
+def test_database_restarts(new_cluster, own_postgres, undisturbed):
+    """Postgres is away for eight seconds in the middle of a job; later jobs run as well.
+
+    The worker has lost its lease by then and ends; here as under `morph serve` it is started again.
+    """
+    cluster = new_cluster(own_postgres.url)
+    worker = cluster.worker()
+    cluster.start("janitor")
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    own_postgres.run("stop")
+    time.sleep(8)
+    own_postgres.run("start")
+    later = cluster.submit(frames=1)
+    while not cluster.job(later).state.finished:
+        if worker.poll() is not None:
+            worker = cluster.worker()
+        time.sleep(0.5)
+    cluster.require_sound(job, undisturbed, kills=2)
+    assert cluster.job(later).state is JobState.SUCCEEDED
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 12 MB; skips where mounting is not allowed."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=12m", "morph", folder]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("mounting a small file system is not allowed here")
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_disk_full(new_cluster, small_disk, undisturbed):
+    """A job that finds the disk full fails and says so; with room again, resume finishes it."""
+    cluster = new_cluster("")
+    jobs = cluster.settings.data_dir / "jobs"
+    jobs.rmdir()
+    jobs.symlink_to(small_disk)
+    cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    filling = small_disk / "filling"
+    with suppress(OSError), filling.open("wb") as file:
+        while True:
+            file.write(bytes(1 << 16))
+            file.flush()
+    record = cluster.wait_for_state(job, JobState.FAILED)
+    assert "space" in f"{record.problem.cause} {record.problem.remedy}"
+    filling.unlink()
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=2)
