@@ -34,11 +34,15 @@ from worker.storage import Storage
 BEAT, STOP = b".", b"s"
 SILENCE_SECONDS = 6.0
 LOCK_SECONDS = 30.0
+NICENESS = 10
+"""The service answers while engines compute: their processes yield to all others."""
+
 ORPHANED, STOPPED = 75, 76
 
 
 def main(job_dir: Path, attempt: int, threads: int) -> None:
     """Compute a job, or go on with it, and say how it went."""
+    os.nice(NICENESS)
     threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
     storage = Storage(job_dir.parent.parent)
     lock = _locked(job_dir / "lock")

@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-TAIL_BYTES = 1 << 16
+TAIL_BYTES = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,22 @@ class LoggedEvent:
     data: dict[str, Any]
 
 
+@dataclass(frozen=True)
 class EventLog:
     """The events of one job; one process appends, any number read.
 
-    Args:
+    Attributes:
         path: The file, which need not exist yet.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    path: Path
+
+    def size(self) -> int:
+        """Size of the file [bytes]; it grows with every event."""
+        try:
+            return self.path.stat().st_size
+        except FileNotFoundError:
+            return 0
 
     def append(self, type: str, data: dict[str, Any]) -> None:
         """Add an event, in one write, so that a kill leaves whole lines and at most one torn end.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
+from worker.event_log import EventLog
 from worker.job import JobSpec
 from worker.storage import Storage
 
@@ -29,10 +31,16 @@ class JobProgress:
 
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
     """The progress of a job."""
-    events = storage.events(job_id).tail()
+    log = storage.events(job_id)
+    return _progress(log, log.size(), int(spec.config["frames"]))
+
+
+@lru_cache(4096)
+def _progress(log: EventLog, size: int, total: int) -> JobProgress:
+    """The progress at the end of a log of a size, read once."""
+    events = log.tail()
     frames = [event for event in events if event.type == "frame"]
     attempts = [event.data["attempt"] for event in events if "attempt" in event.data]
-    total = int(spec.config["frames"])
     if not frames:
         return JobProgress(0, total, max(attempts, default=0))
     last = frames[-1].data

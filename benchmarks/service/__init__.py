@@ -1,0 +1,1 @@
+"""The job service measured with real processes: latency, fairness, load."""

@@ -1,0 +1,42 @@
+"""Measure the service: `python -m benchmarks.service [--database URL] [group ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.__main__ import machine
+from benchmarks.service import fairness, latency, load
+from benchmarks.service.figures import table
+from benchmarks.service.place import Place
+
+GROUPS = {"latency": latency.measure, "fairness": fairness.measure, "load": load.measure}
+
+
+def main() -> int:
+    """Measure the chosen groups one after the other and print the table.
+
+    Returns:
+        Exit status: the number of figures above their limit.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.service", description=__doc__)
+    parser.add_argument("groups", nargs="*", metavar="group", help=", ".join(GROUPS))
+    parser.add_argument("--database", default="", help="URL of an empty Postgres database")
+    options = parser.parse_args()
+    unknown = set(options.groups) - GROUPS.keys()
+    if unknown:
+        parser.error(f"no group {', '.join(sorted(unknown))}; there are {', '.join(GROUPS)}")
+    figures = []
+    for group in options.groups or GROUPS:
+        sys.stderr.write(f"measuring {group} ...\n")
+        with tempfile.TemporaryDirectory(prefix="morph-service-") as folder:
+            figures += GROUPS[group](Place(Path(folder), options.database))
+    database = "Postgres" if options.database else "SQLite"
+    print(f"{machine()}, {database}\n\n{table(figures)}")
+    return sum(figure.verdict == "ABOVE" for figure in figures)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""What was measured, beside its limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from benchmarks.rows import number
+
+HEADINGS = ("what", "measured", "limit", "unit", "verdict")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table.
+
+    Attributes:
+        what: What was measured.
+        value: The measurement.
+        limit: The most it may be; None for a figure that only informs.
+        unit: Unit of both.
+        note: Conditions.
+        inclusive: Whether the limit itself is allowed.
+    """
+
+    what: str
+    value: float
+    limit: float | None
+    unit: str
+    note: str = ""
+    inclusive: bool = False
+
+    @property
+    def verdict(self) -> Literal["within", "ABOVE", "info"]:
+        """Where the measurement stands against the limit."""
+        if self.limit is None:
+            return "info"
+        reached = self.inclusive and self.value == self.limit
+        return "within" if self.value < self.limit or reached else "ABOVE"
+
+
+def counted(what: str, count: int, allowed: int, note: str = "") -> Figure:
+    """A number of things, at most so many."""
+    return Figure(what, count, allowed, "", note, inclusive=True)
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """Lay the figures out for a terminal, notes below."""
+    lines = [HEADINGS] + [
+        (f.what, number(f.value), number(f.limit), f.unit, f.verdict) for f in figures
+    ]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
+    text = ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    text.insert(1, "-" * len(text[0]))
+    notes = [f"{figure.what}: {figure.note}" for figure in figures if figure.note]
+    return "\n".join([*(line.rstrip() for line in text), "", *notes])

@@ -1,0 +1,63 @@
+"""How soon an idle worker starts a job, and how soon a watcher hears of an event.
+
+Small jobs follow one another. Each has a watcher; an event's lag is the time from its line in the
+log, which tells when it was written, to its arrival. Both ends read the clock of this machine.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import time
+from datetime import datetime
+from statistics import median
+
+import httpx
+
+from benchmarks.service.figures import Figure
+from benchmarks.service.place import Place, body, show, submit
+
+JOBS = 15
+FRAMES = 3
+
+
+def measure(place: Place) -> list[Figure]:
+    """Submit, watch and wait, again and again."""
+    starts, lags = [], []
+    chance = random.Random(0)
+    with place.served(workers=1) as (api, _):
+        watch(api, submit(api, body(FRAMES)))  # the kernels are compiled once
+        for _ in range(JOBS):
+            time.sleep(0.5 + chance.random())  # idle, and out of step with the worker's looks
+            submitted = time.time()
+            job = submit(api, body(FRAMES))
+            lags += watch(api, job)
+            shown = show(api, job)
+            if shown["state"] != "succeeded":
+                raise RuntimeError(f"{job} is {shown['state']}: {shown['problem']}")
+            starts.append(seconds(shown["started_at"]) - submitted)
+    return [
+        Figure("submit to running", median(starts), 1, "s", f"{JOBS} jobs, largest {max(starts):.2f} s"),
+        Figure("event to watcher", median(lags), 0.5, "s", f"{len(lags)} events, largest {max(lags):.2f} s"),
+    ]  # fmt: skip
+
+
+def watch(api: httpx.Client, job: str) -> list[float]:
+    """Watch a job to its end; returns the lag of each event that was written meanwhile [s]."""
+    lags = []
+    headers = {"Accept": "text/event-stream"}
+    with api.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream:
+        stream.raise_for_status()
+        connected = time.time()
+        for line in stream.iter_lines():
+            if line.startswith("data:"):
+                event = json.loads(line.removeprefix("data:"))
+                written = seconds(event["at"])
+                if event["type"] != "state" and written > connected:
+                    lags.append(time.time() - written)
+    return lags
+
+
+def seconds(text: str) -> float:
+    """A time of the API as seconds since 1970."""
+    return datetime.fromisoformat(text.replace("Z", "+00:00")).timestamp()

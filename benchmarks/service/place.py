@@ -1,0 +1,127 @@
+"""A service of our own to measure, and the jobs that it is given."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+
+from worker.settings import Settings
+
+START_SECONDS = 60.0
+STOP_SECONDS = 20.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a service keeps its things.
+
+    Attributes:
+        data_dir: A folder of its own.
+        database_url: An empty Postgres database; empty for SQLite in the folder.
+    """
+
+    data_dir: Path
+    database_url: str
+
+    @property
+    def settings(self) -> Settings:
+        """The service's settings, for looking at its queue and its files."""
+        return Settings(
+            _env_file=None, data_dir=self.data_dir, database_url=self.database_url, threads=1
+        )
+
+    @contextmanager
+    def served(self, workers: int) -> Iterator[tuple[httpx.Client, psutil.Process]]:
+        """Run `morph serve` with default settings but for one thread a job.
+
+        Args:
+            workers: Worker slots.
+
+        Yields:
+            A client of the API, and the supervisor.
+        """
+        port = free_port()
+        own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
+        with (self.data_dir / "service.log").open("ab") as log:
+            supervisor = psutil.Popen(
+                [sys.executable, "-m", "server", "serve"],
+                env=own
+                | {
+                    "MORPH_DATA_DIR": str(self.data_dir),
+                    "MORPH_DATABASE_URL": self.database_url,
+                    "MORPH_PORT": str(port),
+                    "MORPH_WORKERS": str(workers),
+                    "MORPH_THREADS": "1",
+                },
+                stdout=log,
+                stderr=log,
+            )
+        try:
+            with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30) as api:
+                wait_until_ready(api)
+                yield api, supervisor
+        finally:
+            supervisor.send_signal(signal.SIGTERM)
+            try:
+                supervisor.wait(STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                supervisor.kill()
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until_ready(api: httpx.Client) -> None:
+    """Wait until the service can take jobs."""
+    deadline = time.monotonic() + START_SECONDS
+    while True:
+        try:
+            if api.get("/readyz").is_success:
+                return
+        except httpx.TransportError:
+            pass
+        if time.monotonic() > deadline:
+            raise TimeoutError("The service does not become ready.")
+        time.sleep(0.1)
+
+
+def body(frames: int, points_per_cell_edge: int = 1) -> dict[str, Any]:
+    """A request for a job on the CPU; 1 point per cell edge makes the smallest."""
+    return {
+        "source": {"shape": "sphere"},
+        "target": {"shape": "star"},
+        "overrides": {"sampling.points_per_cell_edge": points_per_cell_edge},
+        "frames": frames,
+        "device": "cpu",
+    }
+
+
+def submit(api: httpx.Client, request: dict[str, Any]) -> str:
+    """Submit a job; returns its id."""
+    answer = api.post("/v1/jobs", json=request)
+    answer.raise_for_status()
+    return str(answer.json()["id"])
+
+
+def show(api: httpx.Client, job: str) -> dict[str, Any]:
+    """A job as it stands."""
+    answer = api.get(f"/v1/jobs/{job}")
+    answer.raise_for_status()
+    shown: dict[str, Any] = answer.json()
+    return shown

@@ -1,0 +1,97 @@
+"""The load, as a process of its own: `python -m benchmarks.service.requests_and_watchers`.
+
+It reads one JSON document from standard input: `url`, `jobs` and `bursts`, each from and to a time
+[s since 1970]. After each burst it prints what that one saw, as a line of JSON.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from dataclasses import asdict, dataclass, field
+from itertools import cycle
+
+import httpx
+
+WATCHERS = 50
+REQUESTS_PER_SECOND = 100
+
+
+@dataclass
+class Burst:
+    """What a burst of load saw.
+
+    Attributes:
+        latencies: From when a request was due until its answer was there [s].
+        events: Server-sent events that arrived.
+        errors: What went wrong.
+    """
+
+    latencies: list[float] = field(default_factory=list)
+    events: int = 0
+    errors: list[str] = field(default_factory=list)
+
+
+async def main(url: str, jobs: list[str], bursts: list[tuple[float, float]]) -> None:
+    """Load the API in each burst, and rest between them."""
+    limits = httpx.Limits(max_connections=None, max_keepalive_connections=None)
+    for begin, end in bursts:
+        await asyncio.sleep(begin - time.time())
+        seen = Burst()
+        async with httpx.AsyncClient(base_url=url, limits=limits, timeout=20) as client:
+            watching = [
+                asyncio.create_task(watch(client, jobs[i % len(jobs)], seen))
+                for i in range(WATCHERS)
+            ]
+            await ask_until(client, jobs, end, seen)
+            for task in watching:
+                task.cancel()
+            await asyncio.gather(*watching, return_exceptions=True)
+        print(json.dumps(asdict(seen)), flush=True)
+
+
+async def ask_until(client: httpx.AsyncClient, jobs: list[str], end: float, seen: Burst) -> None:
+    """Send requests at their times, however long the answers take."""
+    paths = cycle(
+        [
+            path
+            for job in jobs
+            for path in ("/v1/jobs", f"/v1/jobs/{job}", f"/v1/jobs/{job}/metrics", "/livez")
+        ]
+    )
+    asking = []
+    due = time.time()
+    while due < end:
+        await asyncio.sleep(due - time.time())
+        asking.append(asyncio.create_task(ask(client, next(paths), due, seen)))
+        due += 1 / REQUESTS_PER_SECOND
+    await asyncio.gather(*asking)
+
+
+async def ask(client: httpx.AsyncClient, path: str, due: float, seen: Burst) -> None:
+    """Send one request."""
+    try:
+        answer = await client.get(path)
+        seen.latencies.append(time.time() - due)
+        if answer.status_code != 200:
+            seen.errors.append(f"{path}: {answer.status_code} {answer.text[:200]}")
+    except httpx.HTTPError as error:
+        seen.errors.append(f"{path}: {error!r}")
+
+
+async def watch(client: httpx.AsyncClient, job: str, seen: Burst) -> None:
+    """Watch a job until cancelled; an earlier end is an error."""
+    headers = {"Accept": "text/event-stream"}
+    try:
+        async with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream:
+            async for line in stream.aiter_lines():
+                seen.events += line.startswith("data:")
+        seen.errors.append(f"watcher of {job}: status {stream.status_code}, and the stream ended")
+    except httpx.HTTPError as error:
+        seen.errors.append(f"watcher of {job}: {error!r}")
+
+
+if __name__ == "__main__":
+    asyncio.run(main(**json.load(sys.stdin)))
