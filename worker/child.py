@@ -9,6 +9,7 @@ first.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -42,7 +43,7 @@ ORPHANED, STOPPED = 75, 76
 
 def main(job_dir: Path, attempt: int, threads: int) -> None:
     """Compute a job, or go on with it, and say how it went."""
-    os.nice(NICENESS)
+    _yield_to_others()
     threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
     storage = Storage(job_dir.parent.parent)
     lock = _locked(job_dir / "lock")
@@ -154,6 +155,16 @@ def _problem(error: MorphError) -> Problem:
         return Problem(cause=error.cause, remedy=error.remedy, kind="simulation")
     full = isinstance(error, ResourceError | ResultError)
     return Problem(cause=error.cause, remedy=error.remedy, kind="resources" if full else "input")
+
+
+def _yield_to_others() -> None:
+    """Let all others have the cores first.
+
+    Where Linux groups processes by session it heeds the niceness of a group; ours is this process.
+    """
+    os.nice(NICENESS)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 def _locked(path: Path) -> BinaryIO:

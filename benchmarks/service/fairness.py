@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 from itertools import accumulate, groupby, pairwise
 from statistics import median
 
@@ -32,26 +33,28 @@ def measure(place: Place) -> list[Figure]:
     """Fill the queue, ask it, and let the workers take some jobs."""
     queue = JobQueue(place.settings)
     queue.migrate()
+    already = queue.counts()[JobState.SUCCEEDED]
     spec = smallest()
     ids = {key: [new_job_id() for _ in range(JOBS_PER_KEY)] for key in KEYS}
     filling = [
-        timed(lambda key=key, job=job: queue.enqueue(spec, job_id=job, owner=key))
+        timed(partial(queue.enqueue, spec, job_id=job, owner=key))
         for key in KEYS
         for job in ids[key]
     ]
     with place.served(WORKERS):
         wait_for(queue, lambda counts: counts[JobState.RUNNING] == WORKERS)
         asking = operations(queue, spec, ids[KEYS[1]][-1])
-        wait_for(queue, lambda counts: counts[JobState.SUCCEEDED] >= TO_FINISH)
-    begun = queue.list(states=set(JobState) - {JobState.QUEUED}, limit=len(KEYS) * JOBS_PER_KEY)
+        wait_for(queue, lambda counts: counts[JobState.SUCCEEDED] >= already + TO_FINISH)
+    states = set(JobState) - {JobState.QUEUED}
+    begun = [record for key in KEYS for record in queue.list(owner=key, states=states)]
     for record in queue.list(states={JobState.QUEUED, JobState.RUNNING}, limit=10**6):
         queue.cancel(record.id)
     queue.close()
     return [
         Figure("enqueue, queue filling", 1000 * median(filling), 100, "ms"),
         *(Figure(f"{name}, 1000 queued", 1000 * t, 100, "ms") for name, t in asking.items()),
-        counted("lead of a key", lead(begun), WORKERS, f"jobs, over {len(begun)} starts"),
-        counted("two jobs in a slot", overlaps(begun), 0, f"over {len(begun)} starts"),
+        counted("jobs a key is ahead", lead(begun), WORKERS, f"over {len(begun)} starts"),
+        counted("two jobs in a slot", overlaps(begun), 0),
         counted("jobs that failed", sum(r.state is JobState.FAILED for r in begun), 0),
     ]
 

@@ -37,9 +37,14 @@ def measure(place: Place) -> list[Figure]:
                 raise RuntimeError(f"{job} is {shown['state']}: {shown['problem']}")
             starts.append(seconds(shown["started_at"]) - submitted)
     return [
-        Figure("submit to running", median(starts), 1, "s", f"{JOBS} jobs, largest {max(starts):.2f} s"),
-        Figure("event to watcher", median(lags), 0.5, "s", f"{len(lags)} events, largest {max(lags):.2f} s"),
-    ]  # fmt: skip
+        middle("submit to running", starts, 1),
+        middle("event to watcher", lags, 0.5),
+    ]
+
+
+def middle(what: str, times: list[float], limit: float) -> Figure:
+    """The median of some times [s]."""
+    return Figure(what, median(times), limit, "s", f"{len(times)} times, at most {max(times):.2f}")
 
 
 def watch(api: httpx.Client, job: str) -> list[float]:

@@ -4,10 +4,11 @@ Load and rest alternate, and a second round has them the other way round, so tha
 same two jobs is computed with load and without. Frames are compared one by one, and the median of
 their ratios counts. A frame belongs to a side if it lay in it from end to end.
 
-API, load and both engines share the cores of one machine here. The main figure is therefore the CPU
-time that the engine needs for a frame; the wall time beside it mostly tells how few cores there are.
-Latency counts from the moment a request was due, so a busy load process makes it look worse, never
-better. 50 other jobs are listed beside the two, which makes a full page.
+API, load and both engines share the cores of one machine here, and where these are two, the engines
+alone fill them. The main figure is therefore the CPU time that the engine needs for a frame; the
+wall time beside it mostly tells how few cores there are. Latency counts from the moment a request
+was due, so a load process that gets no core makes it look worse, never better; how late it sent is
+told beside it. 50 other jobs are listed beside the two, which makes a full page.
 """
 
 from __future__ import annotations
@@ -18,9 +19,12 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from statistics import median, quantiles
+from statistics import fmean, median, quantiles
 
 import httpx
 import psutil
@@ -28,17 +32,19 @@ import psutil
 from benchmarks.service.fairness import smallest
 from benchmarks.service.figures import Figure, counted
 from benchmarks.service.place import Place, body, show, submit
-from benchmarks.service.requests_and_watchers import REQUESTS_PER_SECOND, WATCHERS, Burst
+from benchmarks.service.requests_and_watchers import Burst
 from worker.event_log import EventLog
 from worker.queue import JobQueue, new_job_id
+from worker.storage import Storage
 
 ENGINES = 2
 OTHERS = 50
-FRAMES = 100
-PHASE_SECONDS = 8.0
+FRAMES = 60
+PHASE_SECONDS = 6.0
 PHASES = 50
 ROUNDS = 2
 LOOK_SECONDS = 0.01
+PATIENCE_SECONDS = 600.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,32 @@ class Cost:
     wall: float
 
 
+@dataclass(frozen=True)
+class Schedule:
+    """When there is load.
+
+    Attributes:
+        begin: When the first phase begins [s since 1970].
+        turn: Even to begin with load, odd to begin with rest.
+    """
+
+    begin: float
+    turn: int
+
+    def phase(self, time: float) -> int:
+        """Number of the phase at a time; negative before the first."""
+        return math.floor((time - self.begin) / PHASE_SECONDS)
+
+    def loaded(self, phase: int) -> bool:
+        """Whether there is load in a phase."""
+        return (phase + self.turn) % 2 == 0
+
+    def bursts(self) -> list[tuple[float, float]]:
+        """From and to when there is load."""
+        edges = [self.begin + phase * PHASE_SECONDS for phase in range(PHASES + 1)]
+        return [edge for phase, edge in enumerate(pairwise(edges)) if self.loaded(phase)]
+
+
 @dataclass
 class Engine:
     """An engine process whose frames are followed."""
@@ -62,49 +94,75 @@ class Engine:
     process: psutil.Process
     size: int = 0
     last_id: int = 0
-    ended_at: float = math.inf
-    cpu: float = 0.0
+    last_end: float = 0.0
+    last_cpu: float = 0.0
 
-    def look(self) -> list[tuple[int, float, Cost]]:
-        """New frames, each with its number, when it began, and what it cost."""
+    def frame(self) -> tuple[int, float, float, Cost] | None:
+        """The frame that has just ended: its number, its begin and end, and what it cost."""
         size = self.log.path.stat().st_size
         if size == self.size:
-            return []
-        now, times = time.time(), self.process.cpu_times()
+            return None
+        now, cpu = time.time(), cpu_seconds(self.process)
         self.size = size
-        new = [event for event in self.log.read(self.last_id) if event.type == "frame"]
-        found = []
-        cpu = times.user + times.system
-        if len(new) == 1 and self.ended_at < math.inf:
-            cost = Cost(cpu - self.cpu, float(new[0].data["seconds"]))
-            found.append((int(new[0].data["frame"]), self.ended_at, cost))
-        if new:
-            self.last_id, self.ended_at, self.cpu = new[-1].id, now, cpu
-        return found
+        events = self.log.read(self.last_id)
+        new = [event for event in events if event.type == "frame"]
+        if not new:
+            return None
+        began, before = self.last_end, self.last_cpu
+        self.last_id, self.last_end, self.last_cpu = events[-1].id, now, cpu
+        if len(new) > 1 or not began:
+            return None
+        data = new[0].data
+        return int(data["frame"]), began, now, Cost(cpu - before, float(data["seconds"]))
+
+
+@dataclass
+class Seen:
+    """What was measured.
+
+    Attributes:
+        costs: Of each frame, with load and without.
+        bursts: What the load saw.
+        shares: CPU time per second of load, by process.
+    """
+
+    costs: dict[bool, dict[int, list[Cost]]] = field(
+        default_factory=lambda: {True: defaultdict(list), False: defaultdict(list)}
+    )
+    bursts: list[Burst] = field(default_factory=list)
+    shares: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
 
 def measure(place: Place) -> list[Figure]:
     """Run both rounds and compare."""
-    costs: dict[bool, dict[int, list[Cost]]] = {True: defaultdict(list), False: defaultdict(list)}
-    bursts: list[Burst] = []
-    shares: dict[str, list[float]] = defaultdict(list)
+    seen = Seen()
     fill_list(place)
     with place.served(ENGINES) as (api, supervisor):
         for turn in range(ROUNDS):
-            bursts += one_round(place, api, supervisor, turn, costs, shares)
-    latencies = [1000 * latency for burst in bursts for latency in burst.latencies]
-    errors = [error for burst in bursts for error in burst.errors]
-    cut = quantiles(latencies, n=100)
-    both = sorted(costs[True].keys() & costs[False].keys())
-    seen = f"{len(latencies)} requests in {len(bursts)} bursts, median {cut[49]:.0f} ms"
-    events = sum(burst.events for burst in bursts)
+            one_round(place, api, supervisor, turn, seen)
+    latencies = [1000 * latency for burst in seen.bursts for latency in burst.latencies]
+    delays = [1000 * delay for burst in seen.bursts for delay in burst.delays]
+    errors = [error for burst in seen.bursts for error in burst.errors]
+    events = sum(burst.events for burst in seen.bursts)
+    percentiles = quantiles(latencies, n=100)
     return [
-        Figure("API, 99th percentile", cut[98], 150, "ms", seen),
-        counted("errors", len(errors), 0, "; ".join([f"{events} events arrived", *errors[:3]])),
-        Figure("engine slowed, CPU time", slowed(costs, both, "cpu"), 10, "%", f"{len(both)} frames"),
-        Figure("engine slowed, wall time", slowed(costs, both, "wall"), None, "%", "see the docstring"),
-        *(Figure(f"CPU of {who}", 100 * median(s), None, "% of a core") for who, s in shares.items()),
-    ]  # fmt: skip
+        Figure(
+            "API, 99th percentile",
+            percentiles[98],
+            150,
+            "ms",
+            f"{len(latencies)} requests in {len(seen.bursts)} bursts, "
+            f"median {percentiles[49]:.0f} ms, {events} events to watchers",
+        ),
+        Figure("load sent late, 99th percentile", quantiles(delays, n=100)[98], None, "ms"),
+        counted("errors", len(errors), 0, "; ".join(errors[:3])),
+        slowed("engine slowed, CPU time", seen, lambda cost: cost.cpu, 10),
+        slowed("engine slowed, wall time", seen, lambda cost: cost.wall, None),
+        *(
+            Figure(f"CPU time of {process}", 100 * median(shares), None, "% of a core")
+            for process, shares in seen.shares.items()
+        ),
+    ]
 
 
 def fill_list(place: Place) -> None:
@@ -120,42 +178,107 @@ def fill_list(place: Place) -> None:
 
 
 def one_round(
-    place: Place,
-    api: httpx.Client,
-    supervisor: psutil.Process,
-    turn: int,
-    costs: dict[bool, dict[int, list[Cost]]],
-    shares: dict[str, list[float]],
-) -> list[Burst]:
-    """Two jobs from begin to end under bursts of load; adds the costs of their frames."""
+    place: Place, api: httpx.Client, supervisor: psutil.Process, turn: int, seen: Seen
+) -> None:
+    """Follow two jobs while load comes and goes; adds what was seen."""
     jobs = [submit(api, body(FRAMES, points_per_cell_edge=2)) for _ in range(ENGINES)]
-    engines = [followed(place.data_dir, supervisor, job) for job in jobs]
-    begin = time.time() + 2
-    edges = [begin + phase * PHASE_SECONDS for phase in range(PHASES)]
-    loads = [(edge, edge + PHASE_SECONDS) for edge in edges[turn % 2 :: 2]]
-    with subprocess.Popen(
+    for job in jobs:
+        wait_until(partial(begun, api, job))
+    storage = Storage(place.data_dir)
+    engines = [Engine(storage.events(job), process_of(supervisor, job)) for job in jobs]
+    schedule = Schedule(time.time() + 2, turn)
+    asked = {"url": str(api.base_url), "jobs": jobs, "bursts": schedule.bursts()}
+    load = psutil.Popen(
         [sys.executable, "-m", "benchmarks.service.requests_and_watchers"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        assert process.stdin is not None and process.stdout is not None
-        json.dump({"url": str(api.base_url), "jobs": jobs, "bursts": loads}, process.stdin)
-        process.stdin.close()
-        load = {"the API": child(supervisor, "server", "api"), "the load": psutil.Process(process.pid)}
-        before, phase = {}, -1
-        while all(engine.process.is_running() and engine.process.status() != "zombie" for engine in engines):
-            now = time.time()
-            for engine in engines:
-                for frame, began, cost in engine.look():
-                    side = phase_of(began, begin)
-                    if side >= 0 and side == phase_of(now, begin):
-                        costs[(side + turn) % 2 == 0][frame].append(cost)
-            if phase_of(now, begin) != phase:
-                spent = {who: sum(p.cpu_times()[:2]) for who, p in load.items()}
-                if before and (phase + turn) % 2 == 0 and phase >= 0:
-                    for who in load:
-                        shares[who].append((spent[who] - before[who]) / PHASE_SECONDS)
-                before, phase = spent, phase_of(now, begin)
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # as if on another machine: not in one group with this process
+    )
+    try:
+        json.dump(asked, load.stdin)
+        load.stdin.close()
+        processes = {"the API": process_of(supervisor, "api"), "the load": load}
+        before = {name: cpu_seconds(process) for name, process in processes.items()}
+        while all(alive(engine.process) for engine in engines):
+            follow(engines, schedule, seen)
             time.sleep(LOOK_SECONDS)
-        process.terminate()
-        bursts = [Burst(**json.loads(line)) for line in process.stdout]
-    return bursts
+        phases = range(schedule.phase(time.time()) + 1)
+        loaded = PHASE_SECONDS * sum(map(schedule.loaded, phases))
+        for name, process in processes.items():
+            seen.shares[name].append((cpu_seconds(process) - before[name]) / loaded)
+    finally:
+        load.terminate()
+    seen.bursts += [Burst(**json.loads(line)) for line in load.stdout]
+    load.wait()
+    for job in jobs:
+        wait_until(partial(finished, api, job))
+
+
+def follow(engines: list[Engine], schedule: Schedule, seen: Seen) -> None:
+    """Add the frames that have just ended to the side on which they lay from end to end."""
+    for engine in engines:
+        try:
+            frame = engine.frame()
+        except psutil.Error:  # it has ended, too
+            continue
+        if frame is None:
+            continue
+        number, begin, end, cost = frame
+        phase = schedule.phase(begin)
+        if phase >= 0 and phase == schedule.phase(end):
+            seen.costs[schedule.loaded(phase)][number].append(cost)
+
+
+def slowed(what: str, seen: Seen, part: Callable[[Cost], float], limit: float | None) -> Figure:
+    """By how much frames cost more with load."""
+    with_load, without = seen.costs[True], seen.costs[False]
+    both = sorted(with_load.keys() & without.keys())
+    ratios = [
+        fmean(map(part, with_load[frame])) / fmean(map(part, without[frame])) for frame in both
+    ]
+    usual = median(part(cost) for frame in both for cost in without[frame])
+    note = f"{len(both)} frames of {usual:.2f} s without load"
+    return Figure(what, 100 * (median(ratios) - 1), limit, "%", note)
+
+
+def process_of(supervisor: psutil.Process, word: str) -> psutil.Process:
+    """The one process of a service with a word, or a folder of that name, in its command line."""
+    return next(
+        process
+        for process in supervisor.children(recursive=True)
+        if any(Path(argument).name == word for argument in process.cmdline())
+    )
+
+
+def cpu_seconds(process: psutil.Process) -> float:
+    """CPU time of a process so far, all threads [s]."""
+    times = process.cpu_times()
+    return float(times.user + times.system)
+
+
+def alive(process: psutil.Process) -> bool:
+    """Whether a process computes."""
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def begun(api: httpx.Client, job: str) -> bool:
+    """Whether a job has a frame."""
+    return bool(show(api, job)["progress"]["frame"])
+
+
+def finished(api: httpx.Client, job: str) -> bool:
+    """Whether a job has all its frames."""
+    return bool(show(api, job)["state"] == "succeeded")
+
+
+def wait_until(reached: Callable[[], bool]) -> None:
+    """Wait for something that has to come."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while not reached():
+        if time.monotonic() > deadline:
+            raise TimeoutError("The jobs stand still.")
+        time.sleep(0.1)

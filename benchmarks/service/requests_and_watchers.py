@@ -25,11 +25,13 @@ class Burst:
 
     Attributes:
         latencies: From when a request was due until its answer was there [s].
+        delays: From when a request was due until it was sent, which is no fault of the API [s].
         events: Server-sent events that arrived.
         errors: What went wrong.
     """
 
     latencies: list[float] = field(default_factory=list)
+    delays: list[float] = field(default_factory=list)
     events: int = 0
     errors: list[str] = field(default_factory=list)
 
@@ -40,12 +42,15 @@ async def main(url: str, jobs: list[str], bursts: list[tuple[float, float]]) -> 
     for begin, end in bursts:
         await asyncio.sleep(begin - time.time())
         seen = Burst()
-        async with httpx.AsyncClient(base_url=url, limits=limits, timeout=20) as client:
+        async with (
+            httpx.AsyncClient(base_url=url, limits=limits, timeout=20) as asker,
+            httpx.AsyncClient(base_url=url, limits=limits, timeout=20) as watcher,
+        ):
             watching = [
-                asyncio.create_task(watch(client, jobs[i % len(jobs)], seen))
+                asyncio.create_task(watch(watcher, jobs[i % len(jobs)], i / WATCHERS, seen))
                 for i in range(WATCHERS)
             ]
-            await ask_until(client, jobs, end, seen)
+            await ask_until(asker, jobs, end, seen)
             for task in watching:
                 task.cancel()
             await asyncio.gather(*watching, return_exceptions=True)
@@ -72,6 +77,7 @@ async def ask_until(client: httpx.AsyncClient, jobs: list[str], end: float, seen
 
 async def ask(client: httpx.AsyncClient, path: str, due: float, seen: Burst) -> None:
     """Send one request."""
+    seen.delays.append(time.time() - due)
     try:
         answer = await client.get(path)
         seen.latencies.append(time.time() - due)
@@ -81,8 +87,9 @@ async def ask(client: httpx.AsyncClient, path: str, due: float, seen: Burst) -> 
         seen.errors.append(f"{path}: {error!r}")
 
 
-async def watch(client: httpx.AsyncClient, job: str, seen: Burst) -> None:
-    """Watch a job until cancelled; an earlier end is an error."""
+async def watch(client: httpx.AsyncClient, job: str, pause: float, seen: Burst) -> None:
+    """After a pause [s], watch a job until cancelled; an earlier end is an error."""
+    await asyncio.sleep(pause)
     headers = {"Accept": "text/event-stream"}
     try:
         async with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream:
