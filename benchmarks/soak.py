@@ -3,8 +3,9 @@
     python -m benchmarks.soak --kills 200 --jobs 40 [--database postgresql://...]
 
 A real `morph serve` computes small jobs that were submitted over HTTP. Again and again one of its
-processes (a worker, an engine, the API, the janitor, the supervisor itself) gets SIGKILL. In the
-end every job must have succeeded once, with the particles of a run that nothing disturbed, and with
+processes (a worker, an engine, the API, the janitor, the supervisor itself) gets SIGKILL. Since
+engines are killed faster than they start on a busy machine, a job has ten attempts here. In the end
+every job must have succeeded once, with the particles of a run that nothing disturbed, and with
 at most one frame computed again for each kill.
 """
 
@@ -68,6 +69,7 @@ class Service:
                     "MORPH_POLL_SECONDS": "0.1",
                     "MORPH_ADOPTION_SECONDS": "0.5",
                     "MORPH_RETRY_SECONDS": "0.2",
+                    "MORPH_ATTEMPTS": "10",
                 },
                 stdout=log,
                 stderr=log,
