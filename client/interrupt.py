@@ -61,5 +61,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     ignore()
     try:
         _action()
+    except Exception as error:
+        say("Stopped by Ctrl-C.", str(error))
     finally:
         os._exit(INTERRUPTED)

@@ -123,9 +123,11 @@ def interrupted(record: RunRecord, out: Path) -> Summary:
     Raises:
         ResultError: The disk refuses.
     """
-    if not spool_path(out).exists():
+    try:
+        spool = Spool.open(out, writable=False)
+    except ResultError:  # the run has not begun
         return Summary(record, out, interrupted=True)
-    with Spool.open(out, writable=False) as spool:
+    with spool:
         count = spool.frame_count
         if count or not out.exists():
             write_result(spool, status="partial")

@@ -1,0 +1,37 @@
+"""Finished jobs go when they are too old or take too much space; others stay."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import pytest
+
+from worker.janitor import delete_expired
+from worker.job import JobState
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
+
+
+def test_retention(cluster):
+    """By space the oldest go first; by age all finished ones; a queued job is never touched."""
+    worker = cluster.worker()
+    finished = [cluster.submit(frames=1) for _ in range(3)]
+    for job in finished:
+        cluster.wait_for_state(job, JobState.SUCCEEDED)
+    worker.terminate()
+    worker.wait(10)
+    queued = cluster.submit()
+    storage, queue = cluster.storage, cluster.queue
+    assert delete_expired(cluster.settings, queue) == []
+
+    room = storage.job_bytes(finished[2]) + storage.job_bytes(finished[1]) + 1
+    by_space = cluster.settings.model_copy(update={"retention_bytes": room})
+    assert delete_expired(by_space, queue) == [finished[0]]
+    assert queue.get(finished[0]) is None
+    assert not storage.job_dir(finished[0]).exists()
+
+    time.sleep(0.1)
+    by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
+    assert set(delete_expired(by_age, queue)) == set(finished[1:])
+    assert [record.id for record in queue.list()] == [queued]
