@@ -41,7 +41,6 @@ def main() -> None:
         from worker.workflow import launch
 
         launch(settings, arguments.executor, listen=False)
-        sys.stdout.flush()
         os._exit(0)
     else:
         from worker.queue import JobQueue

@@ -157,7 +157,7 @@ class JobQueue:
             )
         except dbos_error.DBOSWorkflowIDInUseError:
             return False
-        self._order_by_priority(owner)
+        self._order_by_priority(owner, priority)
         return True
 
     def get(self, job_id: str) -> JobRecord | None:
@@ -254,13 +254,9 @@ class JobQueue:
 
     def resume(self, job_id: str) -> None:
         """Queue a finished job again; it goes on from its last frame."""
-        record = self.get(job_id)
-        if record is not None:
-            self._client.rewind_workflow(
-                job_id,
-                application_version=APPLICATION_VERSION,
-                queue_name=QUEUE,
-            )
+        self._client.rewind_workflow(
+            job_id, application_version=APPLICATION_VERSION, queue_name=QUEUE
+        )
 
     def retry(self, job_id: str) -> None:
         """Queue a finished job again, from the beginning."""
@@ -308,15 +304,24 @@ class JobQueue:
         own, started, waiting = self._rows(query)[0]
         return 1 + max(own or 0, started if started is not None else waiting or 0)
 
-    def _order_by_priority(self, owner: str) -> None:
-        """Give an owner's queued jobs their places in the order of the owner's priorities."""
+    def _order_by_priority(self, owner: str, newest: int) -> None:
+        """Give an owner's queued jobs their places in the order of the owner's priorities.
+
+        Args:
+            owner: The owner.
+            newest: Priority of the job queued last; only if it goes before another one is there
+                anything to do.
+        """
         t = self._table
-        query = sa.select(t.c.workflow_uuid, t.c.priority, t.c.attributes["priority"].as_integer())
-        query = query.where(
-            t.c.name == WORKFLOW,
-            t.c.authenticated_user == (owner or NOBODY),
-            t.c.status == "ENQUEUED",
+        priority = t.c.attributes["priority"].as_integer()
+        queued = (
+            (t.c.name == WORKFLOW)
+            & (t.c.authenticated_user == (owner or NOBODY))
+            & (t.c.status == "ENQUEUED")
         )
+        if not self._rows(sa.select(t.c.workflow_uuid).where(queued, priority > newest).limit(1)):
+            return
+        query = sa.select(t.c.workflow_uuid, t.c.priority, priority).where(queued)
         jobs = self._rows(query.order_by(t.c.created_at, t.c.workflow_uuid))
         places = sorted(place for _, place, _ in jobs)
         wanted = sorted(jobs, key=lambda job: job[2])

@@ -61,7 +61,14 @@ class Cluster:
         """Start a worker slot."""
         return self.start("run", "--slot", str(slot), **environment)
 
-    def submit(self, *, frames: int = FRAMES, owner: str = "", timeout: float = 300) -> str:
+    def submit(
+        self,
+        *,
+        frames: int = FRAMES,
+        owner: str = "",
+        timeout: float = 300,
+        priority: int = 100,
+    ) -> str:
         """Queue a small job."""
         config = configure("fast", {"sampling.points_per_cell_edge": 1, "frames": frames})
         spec = JobSpec(
@@ -72,7 +79,7 @@ class Cluster:
             timeout_seconds=timeout,
         )
         job_id = new_job_id()
-        assert self.queue.enqueue(spec, job_id=job_id, owner=owner)
+        assert self.queue.enqueue(spec, job_id=job_id, owner=owner, priority=priority)
         return job_id
 
     def job(self, job_id: str) -> JobRecord:

@@ -176,7 +176,7 @@ def test_cancel_while_waiting_to_retry(cluster):
     assert cluster.job(job).state is JobState.CANCELLED
 
 
-def test_timeout(cluster, undisturbed):
+def test_timeout(cluster):
     """A job that runs too long is timed out, says so, and can be resumed."""
     worker = cluster.worker()
     job = cluster.submit(timeout=4, frames=400)

@@ -41,3 +41,12 @@ def test_cancel_and_resume(cluster, undisturbed):
     assert cluster.storage.result_path(job).exists()
     cluster.queue.resume(job)
     cluster.require_sound(job, undisturbed)
+
+
+def test_own_priorities(cluster):
+    """An urgent job takes its owner's first place, and pushes no other owner out of theirs."""
+    usual = [cluster.submit(frames=1, owner="a") for _ in range(2)]
+    other = cluster.submit(frames=1, owner="b")
+    urgent = cluster.submit(frames=1, owner="a", priority=1)
+    order = sorted([*usual, other, urgent], key=cluster.queue.position)
+    assert order == [other, urgent, *usual]  # both first places are equal; the older job leads
