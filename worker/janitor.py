@@ -1,7 +1,8 @@
-"""Adoption of jobs whose worker is gone, and retention of finished ones."""
+"""Adoption of jobs whose worker is gone, retention of finished ones, and what a kill left over."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import subprocess
 import sys
@@ -19,6 +20,8 @@ log = logging.getLogger(__name__)
 FINISHED = [state for state in JobState if state.finished]
 RETENTION_SECONDS = 60.0
 ADOPTION_LIMIT_SECONDS = 60.0
+ABANDONED_SECONDS = 3600.0
+"""An upload that has not grown for so long belongs to nobody: its API was killed."""
 
 
 def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
@@ -70,8 +73,23 @@ def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
     return deleted
 
 
+def delete_abandoned_uploads(storage: Storage) -> list[str]:
+    """Delete what an API that was killed had received of files.
+
+    Returns:
+        Names of the deleted files.
+    """
+    deleted = []
+    for path in storage.uploads.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # it has arrived meanwhile
+            if time.time() - path.stat().st_mtime > ABANDONED_SECONDS:
+                path.unlink()
+                deleted.append(path.name)
+    return deleted
+
+
 def run(settings: Settings) -> None:
-    """Do both for ever."""
+    """Do all of it for ever."""
     queue = JobQueue(settings)
     queue.migrate()
     next_deletion = 0.0
@@ -80,6 +98,7 @@ def run(settings: Settings) -> None:
             adopt_orphans(settings, queue)
             if time.monotonic() > next_deletion:
                 delete_expired(settings, queue)
+                delete_abandoned_uploads(Storage(settings.data_dir))
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")

@@ -38,6 +38,12 @@ APPLICATION = "morph"
 APPLICATION_VERSION = "1"
 WORKFLOW = "morph"
 QUEUE = "jobs"
+CONNECTIONS = 10
+"""Connections to the database that a process keeps open; opening one costs more than a query."""
+
+RECORDS_KEPT = 4096
+"""Jobs that a process remembers as it read them last."""
+
 NOBODY = "-"
 """Owner of jobs submitted without a key."""
 
@@ -101,6 +107,7 @@ class JobQueue:
             application_name=APPLICATION,
             lazy=True,
         )
+        self._read: dict[str, tuple[list[Any], JobRecord]] = {}
 
     def migrate(self) -> None:
         """Create or upgrade the tables and the queue; harmless to repeat."""
@@ -162,8 +169,8 @@ class JobQueue:
 
     def get(self, job_id: str) -> JobRecord | None:
         """A job, or None where there is none of that id."""
-        found = self._client.list_workflows(workflow_ids=[job_id], name=WORKFLOW)
-        return _record(found[0]) if found else None
+        query = self._versions().where(self._table.c.workflow_uuid == job_id)
+        return next(iter(self._records(query)), None)
 
     def list(
         self,
@@ -187,7 +194,7 @@ class JobQueue:
         """
         t = self._table
         created = sa.cast(t.c.created_at, sa.BigInteger)  # SQLite may store fractions
-        query = sa.select(t.c.workflow_uuid).where(t.c.name == WORKFLOW)
+        query = self._versions()
         if owner is not None:
             query = query.where(t.c.authenticated_user == (owner or NOBODY))
         if sweep is not None:
@@ -206,13 +213,8 @@ class JobQueue:
             query = query.where(
                 (created < age) | ((created == age) & (t.c.workflow_uuid < before[1]))
             )
-        query = query.order_by(created.desc(), t.c.workflow_uuid.desc()).limit(limit)
-        ids = [row.workflow_uuid for row in self._rows(query)]
-        if not ids:
-            return []
-        found = self._client.list_workflows(workflow_ids=ids, name=WORKFLOW)
-        records = {status.workflow_id: _record(status) for status in found}
-        return [records[job_id] for job_id in ids if job_id in records]
+        query = query.order_by(created.desc(), t.c.workflow_uuid.desc())
+        return [*self._records(query.limit(limit))]
 
     def states(self, job_ids: Collection[str]) -> dict[str, JobState]:
         """The states of some jobs, without those that do not exist; cheaper than `get`."""
@@ -334,6 +336,24 @@ class JobQueue:
                         .values(priority=better)
                     )
 
+    def _versions(self) -> sa.Select[Any]:
+        """A query for jobs: their ids, and what changes with every change of their row."""
+        t = self._table
+        columns = (t.c.workflow_uuid, t.c.status, t.c.executor_id, t.c.updated_at)
+        return sa.select(*columns).where(t.c.name == WORKFLOW)
+
+    def _records(self, query: sa.Select[Any]) -> Sequence[JobRecord]:
+        """The jobs of a query for versions; those that have not changed are not read again."""
+        if len(self._read) > RECORDS_KEPT:
+            self._read = {}
+        read, rows = self._read, self._rows(query)
+        changed = [i for i, *version in rows if i not in read or read[i][0] != version]
+        if changed:
+            for status in self._client.list_workflows(workflow_ids=changed, name=WORKFLOW):
+                version = [status.status, status.executor_id, status.updated_at]
+                read[status.workflow_id] = version, _record(status)
+        return [read[job_id][1] for job_id, *_ in rows if job_id in read]
+
     @property
     def _table(self) -> sa.Table:
         return self._client._sys_db.tables.workflow_status
@@ -360,9 +380,11 @@ def database(settings: Settings) -> sa.Engine:
     url = sa.make_url(settings.system_database_url)
     if settings.on_postgres:
         return sa.create_engine(
-            url.set(drivername="postgresql+psycopg"), pool_pre_ping=True, pool_size=10
+            url.set(drivername="postgresql+psycopg"), pool_pre_ping=True, pool_size=CONNECTIONS
         )
-    engine = sa.create_engine(url, connect_args={"timeout": 60, "check_same_thread": False})
+    engine = sa.create_engine(
+        url, connect_args={"timeout": 60, "check_same_thread": False}, pool_size=CONNECTIONS
+    )
     sa.event.listen(engine, "connect", _prepare_sqlite)
     return engine
 

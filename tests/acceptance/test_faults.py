@@ -7,12 +7,14 @@ import sqlite3
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 
 import psutil
 import pytest
 
 from worker.job import JobState
+from worker.queue import new_job_id
 from worker.workers import executor_id
 
 pytestmark = [
@@ -162,6 +164,21 @@ def test_cancel_while_queued(cluster):
     assert cluster.frames(job) == []
 
 
+def test_cancel_while_finishing(cluster, undisturbed):
+    """A job cancelled while its result is written has either succeeded or can be resumed."""
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, len(undisturbed) - 1)
+    cluster.queue.cancel(job)  # changes nothing if the job was faster
+    state = cluster.wait_for_state(job, JobState.SUCCEEDED, JobState.CANCELLED).state
+    children = psutil.Process(worker.pid).children
+    assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
+    assert cluster.job(job).state is state
+    if state is JobState.CANCELLED:
+        cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=0)
+
+
 def test_cancel_while_waiting_to_retry(cluster):
     """A job that waits for its next attempt can be cancelled."""
     worker = cluster.worker(MORPH_RETRY_SECONDS="30")
@@ -290,14 +307,14 @@ def test_paused_worker_takes_no_job(cluster, undisturbed):
 
 
 def test_locked_database(new_cluster, undisturbed):
-    """A job outlives ten seconds in which somebody else locks SQLite."""
+    """A job outlives 45 seconds in which somebody else locks SQLite."""
     cluster = new_cluster("")
     cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 2)
     with closing(sqlite3.connect(cluster.settings.data_dir / "morph.sqlite")) as connection:
         connection.execute("begin exclusive")
-        time.sleep(10)
+        time.sleep(45)
     cluster.require_sound(job, undisturbed, kills=0)
 
 
@@ -321,6 +338,31 @@ def test_database_restarts(new_cluster, own_postgres, undisturbed):
         time.sleep(0.5)
     cluster.require_sound(job, undisturbed, kills=2)
     assert cluster.job(later).state is JobState.SUCCEEDED
+
+
+def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
+    """Whoever submits again under the same id until there is an answer has queued one job each."""
+    cluster = new_cluster(own_postgres.url)
+    spec = cluster.job(cluster.submit(frames=1)).spec
+    wanted = [new_job_id() for _ in range(60)]
+
+    def enqueue(job_id):
+        while True:
+            try:
+                return cluster.queue.enqueue(spec, job_id=job_id, owner="")
+            except Exception:
+                time.sleep(0.1)
+
+    with ThreadPoolExecutor(4) as pool:
+        queued = pool.map(enqueue, wanted)
+        time.sleep(0.1)
+        own_postgres.run("stop")
+        time.sleep(3)
+        own_postgres.run("start")
+        assert len(list(queued)) == len(wanted)
+    found = [record.id for record in cluster.queue.list(limit=1000)]
+    assert len(found) == len(wanted) + 1
+    assert set(wanted) < set(found)
 
 
 @pytest.fixture

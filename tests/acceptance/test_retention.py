@@ -1,14 +1,16 @@
-"""Finished jobs go when they are too old or take too much space; others stay."""
+"""Finished jobs go when they are too old or take too much space; so do abandoned uploads."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
 import pytest
 
-from worker.janitor import delete_expired
+from worker.janitor import ABANDONED_SECONDS, delete_abandoned_uploads, delete_expired
 from worker.job import JobState
+from worker.storage import Storage
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -35,3 +37,15 @@ def test_retention(cluster):
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
     assert set(delete_expired(by_age, queue)) == set(finished[1:])
     assert [record.id for record in queue.list()] == [queued]
+
+
+def test_abandoned_uploads(tmp_path):
+    """What a killed API had received goes after a while; an upload that still grows stays."""
+    storage = Storage(tmp_path)
+    abandoned, growing = storage.uploads / "old.part", storage.uploads / "new.part"
+    abandoned.touch()
+    growing.touch()
+    long_ago = time.time() - ABANDONED_SECONDS - 1
+    os.utime(abandoned, (long_ago, long_ago))
+    assert delete_abandoned_uploads(storage) == ["old.part"]
+    assert list(storage.uploads.iterdir()) == [growing]

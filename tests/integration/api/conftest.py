@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import psycopg
 import pytest
 
 from server.answering import ApiServer
@@ -20,7 +19,6 @@ from server.listening import address, listen
 from server.service import Service
 from worker.settings import Settings
 
-POSTGRES = "postgresql://postgres@127.0.0.1:5432"
 CUBE = """v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nv 0 0 10\nv 10 0 10\nv 10 10 10\nv 0 10 10
 f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7
 f 4 1 5\nf 4 5 8
@@ -92,26 +90,10 @@ def api(make_api: Callable[..., Api]) -> Api:
     return make_api()
 
 
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[str]:
-    """A database of its own on the real server, gone afterwards; skips where none answers."""
-    name = f"morph_api_{uuid.uuid4().hex[:12]}"
-    try:
-        admin = psycopg.connect(f"{POSTGRES}/postgres", autocommit=True, connect_timeout=3)
-    except psycopg.OperationalError as error:
-        pytest.skip(f"no PostgreSQL answers at 127.0.0.1:5432 ({error})")
-    with admin:
-        admin.execute(f"create database {name}")
-        yield f"{POSTGRES}/{name}"
-        admin.execute(f"drop database {name} with (force)")
-
-
-@pytest.fixture(params=["sqlite", "postgres"])
-def either(request: pytest.FixtureRequest, make_api: Callable[..., Api]) -> Api:
+@pytest.fixture
+def either(make_api: Callable[..., Api], database_url: str) -> Api:
     """An API on SQLite, and one on Postgres."""
-    if request.param == "sqlite":
-        return make_api()
-    return make_api(database_url=request.getfixturevalue("postgres"))
+    return make_api(database_url=database_url)
 
 
 @pytest.fixture

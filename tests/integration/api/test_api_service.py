@@ -11,6 +11,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from typing import Any
 import httpx
 import psutil
 import pytest
+import trimesh
 
 from morph_engine.trajectory import Trajectory
 
@@ -36,10 +39,12 @@ class Service:
     Attributes:
         process: The supervisor.
         http: A client of its API.
+        data: Its data directory.
     """
 
     process: subprocess.Popen[str]
     http: httpx.Client
+    data: Path
 
     def wait(self, job: str, *states: str, seconds: float = 90) -> dict[str, Any]:
         """The job, once it is in one of these states."""
@@ -63,14 +68,13 @@ class Service:
         ]
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def service(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Service]:
-    """The service with one worker slot, on either database."""
+@pytest.fixture
+def service(database_url: str, tmp_path: Path) -> Iterator[Service]:
+    """The service with one worker slot, on SQLite and on Postgres."""
     environment = os.environ | {
-        "MORPH_DATA_DIR": str(tmp_path / "data"), "MORPH_PORT": "0", "MORPH_WORKERS": "1",
+        "MORPH_DATA_DIR": str(tmp_path / "data"), "MORPH_DATABASE_URL": database_url,
+        "MORPH_PORT": "0", "MORPH_WORKERS": "1",
     }  # fmt: skip
-    if request.param == "postgres":
-        environment["MORPH_DATABASE_URL"] = request.getfixturevalue("postgres")
     process = subprocess.Popen(
         [sys.executable, "-m", "server", "serve"],
         env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
@@ -83,7 +87,7 @@ def service(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Service]
         else:
             pytest.fail("the service ended before it answered")
         with httpx.Client(base_url=found[0], timeout=30) as http:
-            yield Service(process, http)
+            yield Service(process, http, tmp_path / "data")
     finally:
         if process.poll() is None:
             process.terminate()
@@ -168,6 +172,38 @@ def test_what_dies_is_started_again(service: Service) -> None:
     service.process.kill()
     service.process.wait()
     assert not psutil.wait_procs(processes, timeout=10)[1], "nothing outlives its supervisor"
+
+
+def test_an_api_killed_between_upload_and_queue(service: Service) -> None:
+    """Files that came in are kept; the request repeated under its key is one job, and runs."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=7)
+    job = {name: value for name, value in JOB.items() if name != "source"}
+    form: dict[str, Any] = {
+        "data": {"job": json.dumps(job)},
+        "files": {"source": ("ball.ply", mesh.export(file_type="ply"))},
+        "headers": {"Idempotency-Key": "once"},
+    }
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(service.http.post, "/v1/jobs", **form)
+        _until(lambda: any((service.data / "meshes").glob("*/report.json")) or first.done())
+        service.children("api")[0].kill()
+        with suppress(httpx.TransportError):
+            first.result()
+    answer = _repeated(lambda: service.http.post("/v1/jobs", **form))
+    assert answer.status_code in (200, 202), answer.text
+    assert [job["id"] for job in service.http.get("/v1/jobs").json()["items"]] == [
+        answer.json()["id"]
+    ]
+    assert len(service.http.get("/v1/meshes").json()["items"]) == 1
+    service.wait(answer.json()["id"], "succeeded")
+
+
+def _repeated(send: Callable[[], httpx.Response]) -> httpx.Response:
+    """The answer to a request that is sent until there is one."""
+    while True:
+        with suppress(httpx.TransportError):
+            return send()
+        time.sleep(0.1)
 
 
 def _until(condition: Callable[[], bool], seconds: float = 10) -> None:
