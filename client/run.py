@@ -18,6 +18,7 @@ from client.interrupt import at_interrupt
 from morph_engine import morphing
 from morph_engine.backend import Device
 from morph_engine.errors import ResultError
+from morph_engine.peak_memory import peak_memory
 from morph_engine.run_record import Json, RunRecord, software_versions
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
@@ -163,13 +164,3 @@ def rerun_difference(result: Path, summary: Summary) -> float:
         last = min(original.frame_count, again.frame_count) - 1
         difference = original.positions(last) - again.positions(last)
     return float(np.linalg.norm(difference, axis=1).max())
-
-
-def peak_memory() -> float:
-    """Largest resident memory of this process so far [bytes]."""
-    if sys.platform == "win32":
-        return float(psutil.Process().memory_info().peak_wset)
-    import resource
-
-    unit = 1 if sys.platform == "darwin" else 1024
-    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)

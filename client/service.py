@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import uuid
 from collections.abc import AsyncGenerator, Iterable, Mapping
@@ -15,10 +14,10 @@ from pydantic import BaseModel, ValidationError
 
 from client.download import download
 from client.following import follow
-from client.partial_file import BLOCK_BYTES
 from client.retry import Attempts
 from client.service_error import ServiceError, strange_answer
 from client.transport import Call, Transport
+from morph_engine.digest import file_sha256
 from morph_engine.errors import ConfigError, MeshError
 from server import schemas
 from server.schemas import (
@@ -408,7 +407,7 @@ class Service:
 
     async def _find_mesh(self, path: Path) -> Mesh | None:
         try:
-            digest = _sha256(path)
+            digest = file_sha256(path)
         except OSError as error:
             raise MeshError(
                 f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
@@ -438,14 +437,6 @@ def _is_file(shape: str) -> bool:
     if shape.startswith(TEXT_PREFIX):
         return False
     return bool({".", "/"} & set(shape)) or Path(shape).is_file()
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _once(path: str, body: BaseModel, key: str | None) -> Call:

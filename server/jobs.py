@@ -11,7 +11,9 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from server import job_view, pages
 from server.access import Reader, Submitter
-from server.bodies import load_json, media_type, read_json, receive_form, validate
+from server.bodies import media_type
+from server.forms import receive_form
+from server.json_bodies import load_json, read_json, validate
 from server.keyring import Caller
 from server.meshes import keep
 from server.problems import ProblemError

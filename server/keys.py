@@ -8,7 +8,7 @@ import anyio
 from fastapi import APIRouter, Request, Response
 
 from server.access import Admin, Gate
-from server.bodies import read_json
+from server.json_bodies import read_json
 from server.problems import ProblemError, not_found
 from server.schemas import Key, KeyRequest, NewKey
 from server.service import Service, Services

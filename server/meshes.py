@@ -14,13 +14,15 @@ from starlette.responses import FileResponse
 from morph_engine.mesh import FORMATS
 from server import pages
 from server.access import Reader, Submitter
-from server.bodies import Upload, media_type, plain_name, receive_file, receive_form
+from server.bodies import media_type
+from server.forms import receive_form
 from server.keyring import Caller
 from server.mesh_store import MeshRow
 from server.problems import ProblemError, not_found
 from server.schemas import Mesh, MeshPage
 from server.service import Service, Services
 from server.tables import as_time
+from server.uploads import Upload, plain_name, receive_file
 from worker.inspection import inspect_file
 from worker.job import JobState, MeshShape
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
+from morph_engine.digest import file_sha256
 from server import frames, job_view
 from server.access import Reader
 from server.meshes import matches
@@ -192,11 +193,7 @@ def _metrics(job_id: str, service: Service) -> list[dict[str, float]]:
 @lru_cache(maxsize=1000)
 def _digest(path: Path, changed_at: int, size: int) -> str:
     """SHA-256 of a partial result, which no outcome names."""
-    with path.open("rb") as file:
-        digest = hashlib.sha256()
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+    return file_sha256(path)
 
 
 def _file_name(record: JobRecord) -> str:

@@ -12,8 +12,8 @@ from fastapi import APIRouter, Query, Request, Response
 
 from server import job_view
 from server.access import Reader, Submitter
-from server.bodies import read_json
 from server.jobs import RETRY_AFTER, IdempotencyKey
+from server.json_bodies import read_json
 from server.keyring import Caller
 from server.problems import ProblemError, not_found
 from server.schemas import JobRequest, Sweep, SweepRequest, SweepRow

@@ -10,10 +10,8 @@ first.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-import resource
 import select
 import sys
 import threading
@@ -22,9 +20,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from morph_engine.config import MorphConfig
+from morph_engine.digest import file_sha256
 from morph_engine.durable import acquire
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 from morph_engine.morphing import Frame, prepare, run
+from morph_engine.peak_memory import peak_memory
 from morph_engine.run_record import RunRecord
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
@@ -123,26 +123,16 @@ def _outcome(out: Path) -> Outcome:
         frames = len(result)
         metrics = result.metrics_at(frames - 1)
         particles, targets = result.positions(0), result.target_points
-    with out.open("rb") as file:
-        digest = hashlib.sha256()
-        while block := file.read(1 << 20):
-            digest.update(block)
     return Outcome(
-        sha256=digest.hexdigest(),
+        sha256=file_sha256(out),
         size_bytes=out.stat().st_size,
         frames=frames,
         metrics={name: value for name, value in metrics.items() if abs(value) < float("inf")},
         particle_count=len(particles),
         target_count=len(targets),
         cpu_seconds=time.process_time(),
-        peak_memory_mb=_peak_memory() / 1e6,
+        peak_memory_mb=peak_memory() / 1e6,
     )
-
-
-def _peak_memory() -> int:
-    """Largest resident memory of this process so far [bytes]."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _frame(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:

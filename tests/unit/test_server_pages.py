@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from server import pages
 from server.access import is_loopback
-from server.bodies import plain_name
 from server.events import wants_stream
 from server.job_view import is_id
 from server.keyring import Caller
 from server.problems import ProblemError
 from server.submission import repeated_id
+from server.uploads import plain_name
 
 
 @given(st.integers(0, 2**53 - 1), st.from_regex(r"[0-9a-z]{26}", fullmatch=True))
