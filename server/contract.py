@@ -48,6 +48,9 @@ CREATES = {"uploadMesh": ("Location",), "makeKey": ("Location",)} | dict.fromkey
     ("submitJob", "submitSweep"), ("Location", "Retry-After")
 )
 
+MADE_BY = {"mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep"}
+"""The operation that makes the thing of an id."""
+
 
 def install(app: FastAPI) -> None:
     """Let an application describe itself by `document`."""
@@ -89,6 +92,7 @@ def document(app: FastAPI) -> dict[str, Any]:
     for path, item in found["paths"].items():
         for method, operation in item.items():
             _complete(operation, path, method)
+    _link([operation for item in found["paths"].values() for operation in item.values()])
     found["components"]["schemas"] = dict(sorted(schemas.items()))
     return found
 
@@ -124,6 +128,20 @@ def _complete(operation: dict[str, Any], path: str, method: str) -> None:
         if name in CREATES:
             answers[success]["headers"] = {header: HEADERS[header] for header in CREATES[name]}
     operation["responses"] = answers
+
+
+def _link(operations: list[dict[str, Any]]) -> None:
+    """Tell of whatever makes a thing what may be done with it by its id."""
+    named = {operation["operationId"]: operation for operation in operations}
+    for operation in operations:
+        name = operation["operationId"]
+        for parameter in operation.get("parameters", []):
+            thing = parameter["name"]
+            if thing in MADE_BY and parameter["in"] == "path":
+                made = named[MADE_BY[thing]]["responses"]
+                for success in sorted(made.keys() & {"200", "201", "202"}):
+                    links = made[success].setdefault("links", {})
+                    links[name] = {"operationId": name, "parameters": {thing: "$response.body#/id"}}
 
 
 def _problem(status: int) -> dict[str, Any]:

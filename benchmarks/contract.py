@@ -1,0 +1,61 @@
+"""Thousands of requests that schemathesis makes up from the committed contract, on a real service.
+
+    python -m benchmarks.contract [--examples 200] [--database postgresql://...]
+
+No answer may be a 5xx or depart from the contract. The requests carry an admin key, so that none
+of those that make keys can shut the others out; revoking keys is left out for the same reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.service.place import Place
+from server.keyring import Keyring
+from server.tables import create
+from worker.queue import database
+
+CONTRACT = Path(__file__).resolve().parents[1] / "openapi"
+
+
+def main() -> int:
+    """Run all of it.
+
+    Returns:
+        Exit status of schemathesis.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.contract", description=__doc__)
+    parser.add_argument("--examples", type=int, default=200, help="for each operation and phase")
+    parser.add_argument("--database", default="", help="URL of an empty Postgres database")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="morph-contract-") as folder:
+        place = Place(Path(folder), options.database)
+        engine = database(place.settings)
+        create(engine)
+        made = Keyring(engine).add("root", ["admin"])
+        engine.dispose()
+        assert made is not None, "the database is not empty"
+        with place.served(1) as (api, _):
+            return subprocess.run(
+                [
+                    Path(sys.executable).with_name("schemathesis"),
+                    "--config-file", CONTRACT / "schemathesis.toml",
+                    "run", CONTRACT / "openapi.json",
+                    "--url", str(api.base_url),
+                    "--header", f"Authorization: Bearer {made[1]}",
+                    "--checks", "all",
+                    "--exclude-operation-id", "revokeKey",
+                    "--max-examples", str(options.examples),
+                    "--seed", str(options.seed),
+                ],
+                check=False, cwd=folder,
+            ).returncode  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
