@@ -8,6 +8,7 @@ from importlib import metadata
 
 import anyio
 from fastapi import APIRouter, FastAPI
+from fastapi_offline import FastAPIOffline
 
 from server import (
     catalog,
@@ -55,7 +56,7 @@ def create_app(settings: Settings) -> FastAPI:
             service.watches.close()
             await anyio.to_thread.run_sync(service.close)
 
-    app = FastAPI(
+    app = FastAPIOffline(  # /docs works without a network
         title="morph",
         version=metadata.version("chamfer-morph"),
         summary="Differentiable shape morphing as a service",

@@ -112,3 +112,13 @@ def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:
     time.sleep(CACHE_SECONDS)  # until the keys are read again
     answer = api.http.get("/v1/jobs")
     assert answer.status_code == 503 and answer.json()["remedy"]
+
+
+@pytest.mark.parametrize("page", ["/docs", "/redoc"])
+def test_the_documentation_needs_no_other_host(api: Api, page: str) -> None:
+    """What a page of documentation loads comes from the service itself."""
+    loaded = re.findall(r'(?:src|href)="([^"]+)"', api.http.get(page).text)
+    assert loaded
+    for address in loaded:
+        assert address.startswith("/")
+        assert api.http.get(address).status_code == 200
