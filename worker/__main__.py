@@ -14,6 +14,8 @@ from worker import workers
 from worker.settings import Settings
 
 HEARTBEAT_SECONDS = 4.0
+ADOPTION_PATIENCE_SECONDS = 10.0
+"""A worker that comes back waits so long for a janitor that adopts its jobs under its name."""
 
 
 def main() -> None:
@@ -50,7 +52,7 @@ def main() -> None:
 
 def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
-    from worker.liveness import try_lock
+    from worker.liveness import wait_for_lock
     from worker.queue import JobQueue
     from worker.storage import Storage
     from worker.workflow import PAUSED, launch
@@ -58,7 +60,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     Storage(settings.data_dir)
     queue = JobQueue(settings)
     queue.migrate()
-    lock = try_lock(settings, executor)
+    lock = wait_for_lock(settings, executor, ADOPTION_PATIENCE_SECONDS)
     if lock is None:
         sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
     workers.introduce(settings.data_dir, executor)

@@ -8,6 +8,7 @@ falls silent. Whoever gets the lock of a worker that still has jobs knows that t
 from __future__ import annotations
 
 import hashlib
+import time
 from typing import BinaryIO, Protocol
 
 import psycopg
@@ -17,6 +18,7 @@ from morph_engine.durable import acquire
 from worker.settings import Settings
 
 SILENCE_SECONDS = 15
+WAIT_SECONDS = 0.2
 
 
 class Lock(Protocol):
@@ -41,6 +43,18 @@ def try_lock(settings: Settings, executor: str) -> Lock | None:
         return AdvisoryLock.take(settings.system_database_url, executor)
     file = acquire(settings.data_dir / "locks" / executor)
     return FileLock(file) if file else None
+
+
+def wait_for_lock(settings: Settings, executor: str, seconds: float) -> Lock | None:
+    """The lock of a worker slot, or None where somebody holds it for longer than this [s].
+
+    Raises:
+        psycopg.OperationalError: Postgres does not answer.
+    """
+    deadline = time.monotonic() + seconds
+    while (lock := try_lock(settings, executor)) is None and time.monotonic() < deadline:
+        time.sleep(WAIT_SECONDS)
+    return lock
 
 
 class FileLock:
