@@ -175,6 +175,54 @@ class OptimizerConfig(_Section):
     )
 
 
+class PointsConfig(_Section):
+    """Descent of the methods that move points directly (algorithm 8.2)."""
+
+    steps_per_frame: Count = Field(30, description="Optimiser steps that make up a frame.")
+    learning_rate: Positive = Field(0.01, description="AMSGrad on the positions [grid units].")
+    epsilon: Positive = Field(
+        1e-4,
+        description="AMSGrad's epsilon. Gradients of single points are smaller than this one, "
+        "which slows the descent down to a fraction of the way; 1e-8 converges.",
+    )
+
+
+class RegulariserConfig(_Section):
+    """Local regularisers of `dco` (algorithm 8.4)."""
+
+    repulsion: NonNegative = Field(0.0, description="Weight of the repulsion of close points.")
+    smoothness: NonNegative = Field(0.0, description="Weight of the distance to neighbours' mean.")
+    volume: NonNegative = Field(0.0, description="Weight of the growth of the bounding box.")
+    neighbors: int = Field(12, ge=1, le=64, description="Neighbours listed for each point.")
+    repulsion_neighbors: int = Field(
+        8, ge=1, le=64, description="How many of them, the nearest, repel."
+    )
+
+    @model_validator(mode="after")
+    def _listed(self) -> RegulariserConfig:
+        if self.repulsion_neighbors > self.neighbors:
+            raise ValueError("repulsion_neighbors is at most neighbors")
+        return self
+
+
+class DensityConfig(_Section):
+    """Density in `dcd` (algorithm 8.3) and in `density_aware` (algorithm 8.5)."""
+
+    weighting: Literal["published", "inverse"] = Field(
+        "published", description="Dense regions weigh more, or sparse ones."
+    )
+    neighbors: int = Field(8, ge=1, le=64, description="Neighbours whose distance is density.")
+    refresh_frames: Count = Field(5, description="Frames after which particles weigh anew.")
+    alpha: Positive = Field(0.2, description="Decay of `density_aware` [1 / grid unit].")
+
+
+class BasisConfig(_Section):
+    """Control lattice of `shared_basis` (algorithm 8.6)."""
+
+    cells: int = Field(8, ge=1, le=64, description="Cells along the source's longest side.")
+    learning_rate: Positive = Field(0.03, description="AMSGrad on the control points [grid units].")
+
+
 class WatchdogConfig(_Section):
     """What makes a trial unacceptable, and what happens then."""
 
@@ -213,6 +261,10 @@ class MorphConfig(_Section):
     grid_loss: GridLossConfig = GridLossConfig()
     chamfer: ChamferConfig = ChamferConfig()
     optimizer: OptimizerConfig = OptimizerConfig()
+    points: PointsConfig = PointsConfig()
+    regularisers: RegulariserConfig = RegulariserConfig()
+    density: DensityConfig = DensityConfig()
+    basis: BasisConfig = BasisConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
     stopping: StoppingConfig = StoppingConfig()
 

@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 import os
+from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-CPU_SECONDS_PER_PARTICLE_FRAME = 40e-6
-CPU_SECONDS_PER_TARGET_FRAME = 4e-6
 STARTUP_SECONDS = 8.0
 MEGABYTES_AT_REST = 300.0
-KILOBYTES_PER_PARTICLE = 5.2
-KILOBYTES_PER_TARGET = 0.2
 PARALLEL_EFFICIENCY = 0.9
+
+
+class Rates(NamedTuple):
+    """What one point costs: CPU seconds per frame, and kilobytes."""
+
+    seconds_per_particle: float
+    seconds_per_target: float
+    kilobytes_per_particle: float
+    kilobytes_per_target: float
+
+
+PHYSICS = Rates(40e-6, 4e-6, 5.2, 0.2)
+POINTS = Rates(6e-6, 5e-6, 0.7, 0.3)  # at 30 steps per frame, as the rest below
+RATES = {
+    "dco": POINTS,
+    "dcd": POINTS,
+    "density_aware": Rates(9e-6, 6e-6, 0.8, 0.4),
+    "shared_basis": Rates(20e-6, 5e-6, 1.3, 0.3),
+}
+"""Of the methods without physics; every other method costs what `PHYSICS` says."""
 
 
 class Estimate(BaseModel):
@@ -25,7 +42,12 @@ class Estimate(BaseModel):
 
 
 def estimate(
-    particle_count: int, target_count: int, frames: int, *, threads: int | None = None
+    particle_count: int,
+    target_count: int,
+    frames: int,
+    *,
+    method: str = "joint",
+    threads: int | None = None,
 ) -> Estimate:
     """Estimate the cost of a run on the CPU by a model linear in particles and frames.
 
@@ -33,17 +55,20 @@ def estimate(
         particle_count: Particles of the source.
         target_count: Points of the target.
         frames: Frames to compute.
+        method: Name of the method.
         threads: CPU threads to use; all of this machine by default.
 
     Returns:
         Expected wall-clock seconds and peak memory.
     """
     workers = threads or os.cpu_count() or 1
+    rates = RATES.get(method, PHYSICS)
     cpu_seconds = frames * (
-        CPU_SECONDS_PER_PARTICLE_FRAME * particle_count
-        + CPU_SECONDS_PER_TARGET_FRAME * target_count
+        rates.seconds_per_particle * particle_count + rates.seconds_per_target * target_count
     )
-    kilobytes = KILOBYTES_PER_PARTICLE * particle_count + KILOBYTES_PER_TARGET * target_count
+    kilobytes = (
+        rates.kilobytes_per_particle * particle_count + rates.kilobytes_per_target * target_count
+    )
     return Estimate(
         seconds=STARTUP_SECONDS + cpu_seconds / max(1.0, PARALLEL_EFFICIENCY * workers),
         memory_mb=MEGABYTES_AT_REST + kilobytes / 1024,

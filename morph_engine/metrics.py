@@ -150,6 +150,12 @@ METRICS: dict[str, Definition] = {
         "lower",
         "Chamfer loss before its weight, l quadratic then linear",
     ),
+    "loss_points": Definition(
+        "1/2 (mean_p omega_p d_fwd^2 + mean_j omega_j d_rev^2) + regularisers",
+        "-",
+        "lower",
+        "objective of the methods that move points; density_aware has its own form",
+    ),
     # fill of the volume (algorithm 9.2)
     "iou": Definition("#(A n B) / #(A u B)", "share", "higher", "volume overlap of the two fills"),
     "cover": Definition(

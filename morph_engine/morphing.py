@@ -167,7 +167,9 @@ def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | No
     Raises:
         ResourceError: Not enough memory or disk.
     """
-    need = estimate(len(record.source_points), len(record.target_points), config.frames)
+    need = estimate(
+        len(record.source_points), len(record.target_points), config.frames, method=config.method
+    )
     free = psutil.virtual_memory().available / MEGABYTE
     if need.memory_mb > free:
         raise ResourceError(

@@ -51,7 +51,13 @@ def prepare(request: JobRequest, caller: Caller, service: Service) -> Submission
     config = configure(request)
     particles, source_name = _shape("source", request.source, config, caller, service)
     targets, target_name = _shape("target", request.target, config, caller, service)
-    expected = estimate(particles, targets, config.frames, threads=service.settings.threads or None)
+    expected = estimate(
+        particles,
+        targets,
+        config.frames,
+        method=config.method,
+        threads=service.settings.threads or None,
+    )
     limit = service.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,

@@ -17,6 +17,10 @@ from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 _CLASSES = {
     "joint": "morph_engine.methods.joint:Joint",
     "physics": "morph_engine.methods.physics:Physics",
+    "dco": "morph_engine.methods.dco:Dco",
+    "dcd": "morph_engine.methods.dcd:Dcd",
+    "density_aware": "morph_engine.methods.density_aware:DensityAware",
+    "shared_basis": "morph_engine.methods.shared_basis:SharedBasis",
 }
 
 
