@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from client import interrupt, job_commands, process_commands, service_commands
+from client import (
+    interrupt,
+    job_commands,
+    process_commands,
+    reproduce_commands,
+    service_commands,
+)
 from client.errors import BAD_INPUT, error_document, exit_status, print_json
 from morph_engine.errors import MorphError
 
@@ -29,7 +35,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _commands in (job_commands, process_commands, service_commands):
+for _commands in (reproduce_commands, job_commands, process_commands, service_commands):
     app.add_typer(_commands.app)
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from morph_engine.ingest import IngestReport
     from morph_engine.morphing import Frame
 
-_PIPED_WIDTH = 240
+PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""
 
 
@@ -251,5 +251,5 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_column(name, overflow="fold", no_wrap=column == 0)
     for row in rows:
         table.add_row(*map(Text, row))  # Text: brackets are brackets, not markup
-    width = None if sys.stdout.isatty() else _PIPED_WIDTH
+    width = None if sys.stdout.isatty() else PIPED_WIDTH
     Console(highlight=False, width=width).print(table)

@@ -23,7 +23,7 @@ from morph_engine.sampling import inside
 if TYPE_CHECKING:
     from morph_engine.mesh import Mesh
 
-__all__ = ["fill_metrics", "outside_metrics"]
+__all__ = ["density_ratio", "fill_metrics", "outside_metrics"]
 
 QUANTILES = {"rho_p01": 0.01, "rho_p05": 0.05, "rho_p50": 0.5, "rho_p95": 0.95, "rho_p99": 0.99}
 AXIS_BITS = 21
@@ -80,7 +80,7 @@ def fill_metrics(
     filled = _raster_nodes(points - corner, radius=radius, step=step)
     wanted = _raster_nodes(goal - corner, radius=radius, step=step)
     shared = np.intersect1d(filled, wanted, assume_unique=True).size
-    ratio = _density_ratio(points, goal, radius=grid_spacing, workers=workers)
+    ratio = density_ratio(points, goal, radius=grid_spacing, workers=workers)
     quantiles = np.quantile(ratio, list(QUANTILES.values()))
     return {
         "iou": shared / (filled.size + wanted.size - shared),
@@ -143,8 +143,18 @@ def _raster_nodes(points: Points, *, radius: float, step: float) -> npt.NDArray[
     return np.unique(np.concatenate(found))
 
 
-def _density_ratio(points: Points, goal: Points, *, radius: float, workers: int) -> Points:
-    """Particles per target point within ``radius`` of each target point, over N / M, shape [m]."""
+def density_ratio(points: Points, goal: Points, *, radius: float = 1.0, workers: int = 1) -> Points:
+    """Density of particles at each target point, over that of an even fill (algorithm 9.2).
+
+    Args:
+        points: Particle positions [dx], shape [n, 3], float64.
+        goal: Target points [dx], shape [m, 3], float64.
+        radius: Within which both are counted [dx].
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        rho_j: particles over target points within the radius, over N / M; shape [m], float64.
+    """
     here, wanted = (
         cKDTree(cloud).query_ball_point(goal, radius, return_length=True, workers=workers)
         for cloud in (points, goal)

@@ -1,0 +1,4 @@
+"""The paper reproduced: runs, tables, figures and a report, each number beside the printed one.
+
+It uses the engine and nothing else of the project; `morph reproduce` runs it.
+"""

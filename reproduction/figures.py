@@ -1,0 +1,268 @@
+"""Which figures belong to which experiment, and their files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from morph_engine.durable import replacing
+from morph_engine.errors import ResultError
+from reproduction import charts
+from reproduction.clouds import (
+    Cloud,
+    cross_sections,
+    densities,
+    final_cloud,
+    gallery,
+    source_cloud,
+    target_cloud,
+)
+from reproduction.printed import TARGETS
+from reproduction.run import Run
+from reproduction.store import Store
+from reproduction.tables import Table
+
+DOTS_PER_INCH = 200
+
+Draw = Callable[[Table, Store], Figure]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the report.
+
+    Attributes:
+        name: Stem of its files.
+        caption: What it shows.
+        png: The image; empty if it could not be drawn.
+        problem: Why not.
+    """
+
+    name: str
+    caption: str
+    png: bytes = b""
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A figure that an experiment has."""
+
+    name: str
+    caption: str
+    draw: Draw
+
+
+def draw_all(table: Table, store: Store, folder: Path) -> tuple[Picture, ...]:
+    """Draw the figures of an experiment into a folder, as PNG and SVG.
+
+    A figure whose data are absent is left out and says what it lacks.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    return tuple(_drawn(plan, table, store, folder) for plan in PLANS[table.experiment.name])
+
+
+def _drawn(plan: Plan, table: Table, store: Store, folder: Path) -> Picture:
+    name = f"{table.experiment.name}-{plan.name}"
+    try:
+        figure = plan.draw(table, store)
+    except ResultError as error:
+        return Picture(name, plan.caption, problem=f"This figure is missing: {error}")
+    return Picture(name, plan.caption, png=save(figure, folder / name))
+
+
+def save(figure: Figure, path: Path) -> bytes:
+    """Write a figure as path.png and path.svg; the bytes of the first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    images = {}
+    with charts.style():
+        for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+            image = io.BytesIO()
+            figure.savefig(image, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
+            images[kind] = image.getvalue()
+            with replacing(path.with_name(f"{path.name}.{kind}")) as temporary:
+                temporary.write_bytes(images[kind])
+    return images["png"]
+
+
+def _run(table: Table, label: str) -> Run:
+    """The run of a row, if it has a result.
+
+    Raises:
+        ResultError: It has none.
+    """
+    for line in table.lines:
+        if line.row.label == label and line.records and line.records[0].is_complete:
+            return line.row.runs[0]
+    raise ResultError(f"{label} has no result.", "Repeat the command to compute it.")
+
+
+def _clouds(
+    table: Table, store: Store, labels: Iterable[str], titles: Iterable[str]
+) -> list[Cloud]:
+    runs = [_run(table, label) for label in labels]
+    target = target_cloud(store, runs[-1])
+    return [
+        target,
+        *(final_cloud(store, run, title) for run, title in zip(runs, titles, strict=True)),
+    ]
+
+
+def _dots(metric: str = "two_sided") -> Draw:
+    return lambda table, store: charts.printed_against_ours(table, metric)
+
+
+def _curves(*metrics: str) -> Draw:
+    return lambda table, store: charts.curves(table, metrics)
+
+
+def _finals(labels: Sequence[str], titles: Sequence[str]) -> Draw:
+    """A row of final shapes per target of the paper; labels have {} for the target."""
+    return lambda table, store: gallery(
+        [
+            (target, _clouds(table, store, [label.format(target) for label in labels], titles))
+            for target in TARGETS
+        ]
+    )
+
+
+def _dragons(table: Table, store: Store) -> Figure:
+    coarse = ["DCO, 3 per edge", "DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
+    fine = ["DCO, 4 per edge", "Physics, 4 per edge", "Joint, 4 per edge, native settings"]
+    titles = ["DCO", "DCD", "physics", "joint"]
+    below = _clouds(table, store, fine, ["DCO", "physics", "joint"])
+    return gallery(
+        [
+            ("3 per edge", _clouds(table, store, coarse, titles)),
+            ("4 per edge", [*below[:2], None, *below[2:]]),
+        ]
+    )
+
+
+def _strips(frames: Sequence[int]) -> Draw:
+    """A film strip per row of the table: target, source, frames; -1 is the last."""
+
+    def draw(table: Table, store: Store) -> Figure:
+        rows = []
+        for line in table.lines:
+            run = _run(table, line.row.label)
+            last = line.records[0].frames - 1
+            chosen = [last if frame < 0 else min(frame, last) for frame in frames]
+            clouds = [final_cloud(store, run, f"frame {frame}", frame=frame) for frame in chosen]
+            opening = [target_cloud(store, run), source_cloud(store, run)]
+            rows.append((line.row.label, [*opening, *clouds]))
+        return gallery(rows)
+
+    return draw
+
+
+def _sections(labels: Sequence[str]) -> Draw:
+    return lambda table, store: cross_sections(_clouds(table, store, labels, labels))
+
+
+def _densities(labels: Sequence[str]) -> Draw:
+    def draw(table: Table, store: Store) -> Figure:
+        target, *clouds = _clouds(table, store, labels, labels)
+        return densities(clouds, target)
+
+    return draw
+
+
+_AGAINST = "Printed numbers (hollow), the published program's (diamonds) and ours (filled)."
+
+PLANS: dict[str, tuple[Plan, ...]] = {
+    "regularisers": (
+        Plan("numbers", _AGAINST, _dots()),
+        Plan(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["DCO", "DCO + repulsion 0.1", "DCD", "DCD, inverse weights",
+                 "Density-aware (Wu et al.)", "Shared basis", "Physics"]
+            ),
+        ),
+    ),
+    "shapes": (
+        Plan(
+            "finals",
+            "Final particles, coloured by their height in the sphere. DCO and DCD at 4 points per "
+            "edge, physics and joint at 3, as in the paper.",
+            _finals(
+                ["{}, DCO", "{}, DCD", "{}, Physics, 3 per edge", "{}, Joint, 3 per edge"],
+                ["DCO", "DCD", "physics", "joint"],
+            ),
+        ),
+        Plan("numbers", _AGAINST, _dots()),
+    ),
+    "sphere": (
+        Plan(
+            "finals",
+            "Final particles, coloured by their height in the sphere.",
+            _finals(["{}, physics", "{}, joint"], ["physics", "joint"]),
+        ),
+        Plan("numbers", _AGAINST, _dots()),
+        Plan(
+            "frames",
+            "Two-sided distance over frames.",
+            lambda table, store: charts.convergence(table, "two_sided"),
+        ),
+    ),
+    "pairs": (),
+    "scatter": (
+        Plan("pairs", "Each pair: ours filled, printed hollow.", lambda t, s: charts.scatter(t)),
+    ),
+    "dragon": (
+        Plan("finals", "Final particles, coloured by their height in the sphere.", _dragons),
+        Plan("numbers", f"{_AGAINST} Divided by h in the table.", _dots()),
+    ),
+    "ablation": (
+        Plan("numbers", f"{_AGAINST} Bars: one standard deviation over seeds.", _dots()),
+    ),
+    "overlap": (
+        Plan(
+            "sections",
+            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
+            _sections(
+                ["DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
+            ),
+        ),
+        Plan("strips", "Trajectories.", _strips((3, 8, 15, -1))),
+        Plan("frames", "Overlap over frames.", _curves("overlap_01", "overlap_h10")),
+    ),
+    "convergence": (
+        Plan("frames", "s→t over frames, as computed.", lambda t, s: charts.convergence(t)),
+    ),
+    "teaser": (Plan("strips", "Trajectories.", _strips((3, 8, 15, -1))),),
+    "fairness": (
+        Plan(
+            "frames",
+            "Distance and overlap over frames at equal resolution.",
+            _curves("two_sided", "overlap_01"),
+        ),
+        Plan(
+            "sections",
+            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
+            _sections(
+                ["DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"]
+            ),
+        ),
+        Plan(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["DCO", "DCO, converged", "DCD, converged", "Density-aware (Wu et al.), converged",
+                 "Shared basis, converged", "Physics", "Joint", "Joint, preset fast"]
+            ),
+        ),
+    ),
+    "trial": (
+        Plan("frames", "Distance over frames.", _curves("two_sided", "s2t")),
+        Plan("strips", "Trajectories.", _strips((3, 8, 15, -1))),
+    ),
+}  # fmt: skip

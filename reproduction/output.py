@@ -1,0 +1,80 @@
+"""What a reproduction leaves behind: a CSV file per table, figures, and the report."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+
+from morph_engine.durable import replacing
+from morph_engine.errors import ResultError
+from reproduction.catalogue import Subject
+from reproduction.experiment import Experiment
+from reproduction.report import report
+from reproduction.section import Section, section_of
+from reproduction.store import Record, Store
+from reproduction.tables import tabulate
+
+
+@dataclass(frozen=True)
+class Output:
+    """What was written.
+
+    Attributes:
+        sections: The contents.
+        report: The HTML file.
+    """
+
+    sections: tuple[Section, ...]
+    report: Path
+
+
+def write(subjects: Sequence[Subject], records: Mapping[str, Record], store: Store) -> Output:
+    """Write tables, figures and the report into the folder of a store.
+
+    Args:
+        subjects: What was asked for.
+        records: What has been computed, by run id.
+        store: Its folder, and where the frames are.
+
+    Raises:
+        ResultError: The disk refuses.
+    """
+    folder = store.folder
+    figures = folder / "figures"
+    try:
+        figures.mkdir(parents=True, exist_ok=True)
+        sections = tuple(
+            section_of(tabulate(subject, records), store, figures)
+            if isinstance(subject, Experiment)
+            else subject.section(figures)
+            for subject in subjects
+        )
+        for section in sections:
+            if section.csv:
+                _write(folder / "tables" / f"{section.name}.csv", section.csv)
+        path = folder / "report.html"
+        _write(path, report(sections, made=_made()))
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write to {folder} ({error.strerror or error}).",
+            "Free some disk space, or choose another folder with --results.",
+        ) from error
+    return Output(sections, path)
+
+
+def _made() -> str:
+    version = metadata.version("chamfer-morph")
+    return (
+        f"Made on {datetime.now():%Y-%m-%d} with chamfer-morph {version}, "
+        f"Python {platform.python_version()}, {platform.machine()}."
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

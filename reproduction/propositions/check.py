@@ -1,0 +1,74 @@
+"""What an executable proposition leaves: numbers beside what they should be, and its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Relation = Literal["=", "<=", ">="]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured number and what the proposition says about it.
+
+    Attributes:
+        name: What was measured.
+        measured: The number.
+        expected: What it is compared with.
+        relation: How.
+        tolerance: By how much the relation may be missed, absolutely.
+    """
+
+    name: str
+    measured: float
+    expected: float
+    relation: Relation = "="
+    tolerance: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether measured and expected stand in the relation."""
+        excess = self.measured - self.expected
+        below, above = excess <= self.tolerance, excess >= -self.tolerance
+        return {"<=": below, ">=": above, "=": below and above}[self.relation]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A case that the proposition does not cover.
+
+    Attributes:
+        case: The case in one sentence.
+        prediction: What the proposition would say, were it applied, and what is measured.
+    """
+
+    case: str
+    prediction: Quantity
+
+    @property
+    def is_counterexample(self) -> bool:
+        """Whether the prediction fails, so that the limit is a real one."""
+        return not self.prediction.holds
+
+
+@dataclass(frozen=True)
+class Check:
+    """A proposition put to the test.
+
+    Attributes:
+        name: As in the paper.
+        statement: What it says, in one sentence.
+        quantities: The measurements within its assumptions.
+        limits: What is not covered, each shown by a number.
+    """
+
+    name: str
+    statement: str
+    quantities: tuple[Quantity, ...]
+    limits: tuple[Limit, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every measurement within the assumptions is as expected."""
+        return all(each.holds for each in self.quantities)

@@ -1,0 +1,105 @@
+"""Proposition 2: the reverse term moves at most one of several coincident points.
+
+A target point has one nearest source point. Of k that share a place, the search returns one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from reproduction.planar.chamfer import ChamferLoss, nearest
+from reproduction.propositions.check import Check, Limit, Quantity
+from reproduction.propositions.collapse import STEPS, descend
+from reproduction.propositions.scene import CENTRE, TARGETS
+
+Points = npt.NDArray[np.float64]
+
+COUNT = 12
+"""k, the coincident points; there are no others, so that N = k."""
+
+
+def proposition_2() -> Check:
+    """Measure the gradients of k points at one target, and of k points almost there."""
+    collapsed = np.tile(CENTRE, (COUNT, 1))
+    reverse = ChamferLoss(forward=0.0)(collapsed, TARGETS)[1]
+    both = ChamferLoss()(collapsed, TARGETS)[1]
+    rest = descend(collapsed, STEPS, ChamferLoss())[-1]
+    moved = np.linalg.norm(reverse, axis=1) > 0
+    chosen = int(np.argmax(moved))
+    formula = -2 / len(TARGETS) * (TARGETS - CENTRE).sum(axis=0)
+    return Check(
+        name="Proposition 2",
+        statement=(
+            "Of k points collapsed at a target, the reverse term has a gradient for at most one; "
+            "the other k - 1 have none from either term."
+        ),
+        quantities=(
+            Quantity("points with a reverse gradient", float(moved.sum()), 1.0, "<="),
+            Quantity(
+                "deviation of that one's gradient from -2/M sum_j (q_j - q*)",
+                float(abs(reverse[chosen] - formula).max()),
+                0.0,
+                tolerance=1e-15,
+            ),
+            Quantity(
+                "largest gradient of the others from both terms",
+                float(abs(np.delete(both, chosen, axis=0)).max()),
+                0.0,
+            ),
+        ),
+        limits=(
+            Limit(
+                "The statement is about an instant. When the one point has moved off, targets on "
+                "the other side have their nearest source point among those left behind, and "
+                "pull a second one.",
+                Quantity(
+                    f"points that have moved after {STEPS} steps of both terms",
+                    float((abs(rest - CENTRE).max(axis=1) > 0.01).sum()),
+                    1.0,
+                    "<=",
+                ),
+            ),
+            Limit(
+                "Points that do not coincide to the last bit have cells of their own, however "
+                "close they are, and each that is nearest to some target has a reverse gradient.",
+                Quantity(
+                    "points with a reverse gradient, 1e-9 apart",
+                    float(moving(apart(1e-9)).sum()),
+                    1.0,
+                    "<=",
+                ),
+            ),
+            Limit(
+                "Descent then takes them apart, so that collapse is no deadlock for points that "
+                "come near a target without reaching it, as descent lets them.",
+                Quantity(
+                    f"targets used after {STEPS} steps of both terms, from 1e-9 apart",
+                    float(targets_used(descend(apart(1e-9), STEPS, ChamferLoss())[-1])),
+                    1.0,
+                    "<=",
+                ),
+            ),
+        ),
+    )
+
+
+def apart(distance: float) -> Points:
+    """k points around q*, this far from it or up to a tenth farther, shape [k, 2]."""
+    turn = np.arange(COUNT) / COUNT
+    angle = 2 * np.pi * turn
+    away = distance * (1 + 0.1 * turn[:, None])  # no two equally far, which would be ties
+    points: Points = CENTRE + away * np.column_stack([np.cos(angle), np.sin(angle)])
+    return points
+
+
+def moving(points: Points) -> npt.NDArray[np.bool_]:
+    """Which points have a reverse gradient, shape [k]."""
+    reverse = ChamferLoss(forward=0.0)(points, TARGETS)[1]
+    strong: npt.NDArray[np.bool_] = np.linalg.norm(reverse, axis=1) > 0
+    return strong
+
+
+def targets_used(points: Points) -> int:
+    """Number of targets that are the nearest of some point."""
+    return len(np.unique(nearest(points, TARGETS)))

@@ -1,0 +1,182 @@
+"""A section of the report: words, one grid of numbers, figures, and where the numbers come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from reproduction.figures import Picture, draw_all
+from reproduction.store import Record, Store
+from reproduction.tables import VERSION, Line, Table, shown, shown_difference
+from reproduction.verdicts import verdict
+
+METRIC_NAMES = {
+    "s2t": "s→t",
+    "t2s": "t→s",
+    "two_sided": "two-sided",
+    "two_sided_over_h": "two-sided / h",
+    "hausdorff": "Hausdorff",
+    "f1": "F1",
+    "iou": "IoU",
+    "overlap_01": "overlap < .01",
+    "overlap_h10": "overlap < h/10",
+    "many_to_one": "many-to-one",
+    "targets_used": "targets used",
+    "rho_p05": "density 5%",
+    "rho_p50": "density 50%",
+    "rho_p95": "density 95%",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What stands in one place of a grid."""
+
+    text: str
+    is_best: bool = False
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table as it is shown: columns under headings, rows that begin with their name.
+
+    Attributes:
+        headings: Heading and number of columns below it; the row names have none.
+        columns: Names of the columns, headings apart.
+        rows: Name, remark and entries of each row.
+    """
+
+    headings: tuple[tuple[str, int], ...]
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[Entry, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a number comes from.
+
+    Attributes:
+        run: Id of the run.
+        digest: Of its configuration and meshes.
+        config: Its preset and seed, in words.
+        size: Particles and target points, frames.
+        cost: CPU seconds.
+        version: Of this software.
+    """
+
+    run: str
+    digest: str
+    config: str
+    size: str
+    cost: str
+    version: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """One table of the paper, or one that it lacks.
+
+    Attributes:
+        name: What `morph reproduce` calls it.
+        title: Heading.
+        origin: Where it stands in the paper.
+        verdict: What our numbers show.
+        remarks: What a reader must know.
+        grid: The numbers; None where there are figures alone.
+        csv: The numbers for a program; empty where there are none.
+        pictures: Its figures.
+        sources: Where the numbers come from.
+    """
+
+    name: str
+    title: str
+    origin: str
+    verdict: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    grid: Grid | None = None
+    csv: str = ""
+    pictures: tuple[Picture, ...] = ()
+    sources: tuple[Source, ...] = ()
+
+
+def section_of(table: Table, store: Store, figures: Path) -> Section:
+    """The section of an experiment, its figures drawn into a folder.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    experiment = table.experiment
+    return Section(
+        name=experiment.name,
+        title=experiment.title,
+        origin=experiment.origin,
+        verdict=tuple(verdict(table)),
+        remarks=experiment.remarks,
+        grid=grid_of(table) if experiment.tabulated else None,
+        csv=table.csv(),
+        pictures=draw_all(table, store, figures),
+        sources=_sources(record for line in table.lines for record in line.records),
+    )
+
+
+def grid_of(table: Table) -> Grid:
+    """Printed, published program, ours, difference; columns without any number are left out."""
+    headings, columns = [], []
+    wanted: list[tuple[str, tuple[str, ...]]] = []
+    for metric in table.experiment.metrics:
+        cells = [line.cells[metric] for line in table.lines]
+        kinds: list[str] = []
+        if any(cell.printed is not None for cell in cells):
+            kinds.append("printed")
+        if any(cell.program is not None for cell in cells):
+            kinds.append("program")
+        kinds.append("ours")
+        if "printed" in kinds:
+            kinds.append("difference")
+        wanted.append((metric, tuple(kinds)))
+        headings.append((METRIC_NAMES.get(metric, metric), len(kinds)))
+        columns += kinds
+    rows = tuple(
+        (
+            line.row.label,
+            line.problem or line.row.remark,
+            tuple(_entry(line, metric, kind) for metric, kinds in wanted for kind in kinds),
+        )
+        for line in table.lines
+    )
+    return Grid(tuple(headings), tuple(columns), rows)
+
+
+def _entry(line: Line, metric: str, kind: str) -> Entry:
+    cell = line.cells[metric]
+    match kind:
+        case "printed":
+            return Entry(shown(cell.printed))
+        case "program":
+            return Entry(shown(cell.program))
+        case "difference":
+            return Entry(shown_difference(cell.minus_printed))
+        case _:
+            failed = cell.ours is None and any(not each.is_complete for each in line.records)
+            text = "failed" if failed else shown(cell.ours)
+            if cell.deviation is not None:
+                text += f" ± {cell.deviation:.3f}"
+            return Entry(text, cell.is_best)
+
+
+def _sources(records: Iterable[Record]) -> tuple[Source, ...]:
+    distinct = {record.run.id: record for record in records}
+    return tuple(
+        Source(
+            run=record.run.id,
+            digest=record.digest[:12],
+            config=f"{record.config.get('preset', record.run.preset)}, seed {record.run.seed}",
+            size=f"{record.particle_count} → {record.target_count}, {record.frames} frames"
+            if record.is_complete
+            else "failed",
+            cost=f"{record.cpu_seconds:.0f} s" if record.is_complete else "",
+            version=record.software.get(VERSION, ""),
+        )
+        for record in distinct.values()
+    )

@@ -1,0 +1,106 @@
+"""The paper's statements hold where they say so, and their limits are real."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reproduction.propositions import Quantity, all_checks, figure
+from reproduction.propositions.coupling import basis, coupled_drift, grid, independent
+from reproduction.propositions.penalties import PENALTIES, neighbor_lists
+from reproduction.propositions.scene import TARGETS, cluster, elsewhere
+
+CHECKS = all_checks()
+
+
+def test_the_four_statements_in_order():
+    """Propositions 1 to 3 and corollary 1."""
+    assert [check.name for check in CHECKS] == [
+        "Proposition 1",
+        "Proposition 2",
+        "Proposition 3",
+        "Corollary 1",
+    ]
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_statement_holds(check):
+    """Every quantity is what the statement says."""
+    assert check.quantities
+    assert [each for each in check.quantities if not each.holds] == []
+    assert check.holds
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_limits_are_counterexamples(check):
+    """Every limit breaks the statement's prediction."""
+    assert check.limits
+    assert [each for each in check.limits if not each.is_counterexample] == []
+
+
+@pytest.mark.parametrize("name", PENALTIES)
+def test_penalty_gradients(name):
+    """Gradients are those of the penalties, and sum to zero."""
+    points = cluster()
+    lists = neighbor_lists(points, 3)
+    penalty = PENALTIES[name]
+    gradient = penalty(points, lists)[1]
+    step = 1e-6
+    for index in range(points.size):
+        shift = np.zeros_like(points)
+        shift.flat[index] = step
+        change = penalty(points + shift, lists)[0] - penalty(points - shift, lists)[0]
+        # truncation of the steepest penalty, 1/d^2 at d = .1: step^2 times 120/d^5
+        assert gradient.flat[index] == pytest.approx(change / (2 * step), rel=1e-5, abs=1e-5)
+    scale = abs(gradient).max()
+    np.testing.assert_allclose(gradient.sum(axis=0) / scale, 0, atol=1e-13)
+
+
+@pytest.mark.parametrize("coupling", [independent, basis, grid])
+def test_couplings_leave_translations_alone(coupling):
+    """A common direction passes unchanged, so that rates can be compared."""
+    points = np.vstack([cluster(), elsewhere()])
+    common = np.tile([0.3, -0.2], (len(points), 1))
+    np.testing.assert_allclose(coupling(points, common), common, atol=1e-14)
+
+
+def test_independent_points_have_ratio_one():
+    """Without coupling the drift is the proposition's, with points elsewhere present."""
+    assert coupled_drift(independent) == pytest.approx(1, abs=1e-12)
+
+
+def test_scene_is_as_described():
+    """The cluster lies in the cell of q*, all other points outside."""
+    for points, inside in ((cluster(), True), (elsewhere(), False)):
+        distance = np.linalg.norm(points[:, None] - TARGETS, axis=-1)
+        assert ((distance.argmin(axis=1) == 0) == inside).all()
+
+
+@pytest.mark.parametrize(
+    ("relation", "measured", "holds"),
+    [
+        ("=", 1.05, True),
+        ("=", 1.2, False),
+        ("<=", 0.0, True),
+        ("<=", 1.2, False),
+        (">=", 2.0, True),
+        (">=", 0.8, False),
+        (">=", 0.95, True),
+    ],
+)
+def test_relations(relation, measured, holds):
+    """A quantity holds within its tolerance on the side that matters."""
+    assert Quantity("x", measured, 1.0, relation, 0.1).holds is holds
+
+
+def test_not_a_number_holds_nowhere():
+    """A failed measurement is no success."""
+    assert not any(Quantity("x", float("nan"), 1.0, each).holds for each in ("=", "<=", ">="))
+
+
+def test_figure_has_a_column_per_statement():
+    """Four scenes, each with its measurement below."""
+    picture = figure()
+    assert len(picture.axes) == 8
+    titles = [axes.get_title().splitlines()[0] for axes in picture.axes[:4]]
+    assert titles == [check.name for check in CHECKS]

@@ -1,0 +1,94 @@
+"""What is kept of a run, and when it is computed again."""
+
+import json
+import math
+
+import pytest
+
+from reproduction.meshes import MeshFolder
+from reproduction.run import Run
+from reproduction.store import Record, Store
+
+RUN = Run(id="a", source="sphere", target="star", method="joint", points_per_cell_edge=1)
+
+
+@pytest.fixture
+def meshes(tmp_path):
+    """A folder without meshes: built-in shapes need none."""
+    return MeshFolder(tmp_path / "none")
+
+
+@pytest.fixture
+def store(tmp_path):
+    """An empty store."""
+    return Store(tmp_path / "results")
+
+
+def complete(run, digest, **metrics):
+    """A record of a finished run."""
+    return Record(run=run, digest=digest, status="complete", metrics=metrics, frames=run.frames)
+
+
+def test_a_record_comes_back_as_it_was(store, meshes):
+    """Every digit, infinities included."""
+    digest = RUN.digest(meshes)
+    record = complete(RUN, digest, two_sided=0.1 + 0.2, hausdorff=math.inf)
+    store.save(record)
+    assert store.find(RUN, digest) == record
+    assert json.loads(store.record_path(RUN).read_text())["digest"] == digest
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": 43},
+        {"frames": 41},
+        {"method": "physics"},
+        {"points_per_cell_edge": 2},
+        {"preset": "fast"},
+        {"overrides": {"chamfer.reverse_clamp": 5.0}},
+        {"target": "torus"},
+    ],
+)
+def test_whatever_changes_the_result_changes_the_digest(store, meshes, change):
+    """The record of another configuration or shape is not this run's."""
+    store.save(complete(RUN, RUN.digest(meshes)))
+    changed = RUN.model_copy(update=change)
+    assert store.find(changed, changed.digest(meshes)) is None
+
+
+def test_a_changed_mesh_changes_the_digest(tmp_path):
+    """The file counts by its content."""
+    run = RUN.model_copy(update={"target": "letter_V.obj"})
+    digests = []
+    for number, text in enumerate(("v 0 0 0\n", "v 0 0 1\n")):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "letter_V.obj").write_text(text)
+        digests.append(run.digest(MeshFolder(folder)))
+    assert digests[0] != digests[1]
+
+
+def test_the_id_is_a_name_and_no_input(meshes):
+    """A renamed run has the same digest."""
+    assert RUN.model_copy(update={"id": "b"}).digest(meshes) == RUN.digest(meshes)
+
+
+@pytest.mark.parametrize("torn", ["", "{", '{"run": {}}', None])
+def test_a_torn_record_counts_as_absent(store, meshes, torn):
+    """Half a file is computed again, not believed."""
+    digest = RUN.digest(meshes)
+    store.save(complete(RUN, digest))
+    path = store.record_path(RUN)
+    whole = path.read_text()
+    path.write_text(whole[: len(whole) // 2] if torn is None else torn)
+    assert store.read(RUN, digest) is None
+
+
+def test_a_failure_is_kept_and_tried_again(store, meshes):
+    """The cause can be read, and the next command computes the run."""
+    digest = RUN.digest(meshes)
+    store.save_failure(RUN, digest, "It burst.")
+    record = store.read(RUN, digest)
+    assert record is not None and record.problem == "It burst."
+    assert store.find(RUN, digest) is None

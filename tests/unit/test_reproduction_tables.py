@@ -1,0 +1,138 @@
+"""Tables, verdicts and the report, made from given numbers."""
+
+import csv
+import io
+import re
+
+import pytest
+
+from reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SPHERE
+from reproduction.output import write
+from reproduction.printed import PAPER
+from reproduction.section import grid_of
+from reproduction.store import Record, Store
+from reproduction.tables import shown_difference, tabulate
+from reproduction.verdicts import verdict
+
+
+def as_printed(experiment):
+    """Records in which every row has just its printed numbers, and 0.5 for the others."""
+    records = {}
+    for row in experiment.rows:
+        numbers = PAPER.get(experiment.name, {}).get(row.label, {})
+        metrics = {name: numbers.get(name, 0.5) for name in experiment.metrics}
+        for run in row.runs:
+            records[run.id] = record(run, **metrics)
+    return records
+
+
+def record(run, **metrics):
+    """A finished run."""
+    return Record(
+        run=run, digest=f"digest-of-{run.id}", status="complete", metrics=metrics, frames=40
+    )
+
+
+def test_a_cell_has_printed_program_ours_and_difference():
+    """The first row of the Sphere table, with what is known of it."""
+    records = as_printed(SPHERE)
+    first = SPHERE.rows[0].runs[0]
+    records[first.id] = record(first, **{**records[first.id].metrics, "two_sided": 0.244})
+    cell = tabulate(SPHERE, records).cell("Bunny, physics", "two_sided")
+    assert (cell.printed, cell.program, cell.ours) == (0.251, 0.2438, 0.244)
+    assert cell.minus_printed == pytest.approx(-0.007)
+    assert cell.minus_program == pytest.approx(0.0002)
+
+
+def test_the_best_of_a_group_is_marked_by_the_direction_of_its_metric():
+    """Distances want to be small, F1 wants to be large; each target is a group of its own."""
+    table = tabulate(SPHERE, as_printed(SPHERE))
+    for target in ("Bunny", "Duck", "Cow", "Teapot"):
+        for metric in ("s2t", "two_sided", "hausdorff", "f1"):
+            assert table.cell(f"{target}, joint", metric).is_best
+    assert table.cell("Duck, physics", "t2s").is_best
+
+
+def test_repeats_are_averaged_with_their_spread():
+    """Mean and standard deviation over seeds; without one of them there is no number."""
+    records = as_printed(ABLATION)
+    row = ABLATION.rows[0]
+    for run, value in zip(row.runs, (0.20, 0.21, 0.22), strict=True):
+        records[run.id] = record(run, **{**records[run.id].metrics, "two_sided": value})
+    cell = tabulate(ABLATION, records).cell(row.label, "two_sided")
+    assert cell.ours == pytest.approx(0.21) and cell.deviation == pytest.approx(0.01)
+    del records[row.runs[2].id]
+    table = tabulate(ABLATION, records)
+    assert table.ours(row.label, "two_sided") is None and not table.is_complete
+
+
+def test_the_verdict_on_the_printed_numbers_is_the_papers():
+    """16 of 20 pairs, and those four are not among them."""
+    sentences = " ".join(verdict(tabulate(PAIRS, as_printed(PAIRS))))
+    assert "better than physics on 16 of 20 pairs; the paper: 16" in sentences
+    assert "s→t better on 20 of 20; the paper: 20" in sentences
+    assert "not better on Duck → Sphere, Duck → Cow, Cow → Sphere, Teapot → Cow" in sentences
+
+
+def test_the_verdict_follows_our_numbers():
+    """Other numbers, another sentence."""
+    records = as_printed(SPHERE)
+    run = SPHERE.rows[1].runs[0]
+    records[run.id] = record(run, **{**records[run.id].metrics, "two_sided": 9.0})
+    sentences = verdict(tabulate(SPHERE, records))
+    assert "two-sided distance on 3 of 4" in sentences[0]
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=EXPERIMENTS)
+def test_a_failed_run_is_shown_with_its_cause_and_the_rest_stands(experiment):
+    """No verdict falls over a missing number, and it says what is missing."""
+    records = as_printed(experiment)
+    row = experiment.rows[-1]
+    failed = row.runs[0]
+    records[failed.id] = Record(run=failed, digest="", status="failed", problem="It burst.")
+    table = tabulate(experiment, records)
+    _, remark, entries = grid_of(table).rows[-1]
+    assert remark == "It burst." and "failed" in {entry.text for entry in entries}
+    assert row.label in verdict(table)[-1]
+    verdict(tabulate(experiment, {}))
+
+
+def test_csv_has_every_number_with_its_origin():
+    """A line a number, traceable to runs and digests."""
+    text = tabulate(SPHERE, as_printed(SPHERE)).csv()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert len(rows) == len(SPHERE.rows) * len(SPHERE.metrics)
+    line = next(r for r in rows if (r["row"], r["metric"]) == ("Bunny, joint", "two_sided"))
+    assert (line["printed"], line["published_program"], line["ours"]) == (
+        "0.226",
+        "0.2117",
+        "0.226",
+    )
+    assert line["run_ids"] == "sphere-bunny-joint"
+    assert line["config_digests"] == "digest-of-sphere-bunny-joint"
+
+
+def test_the_report_has_every_table_and_asks_the_network_for_nothing(tmp_path):
+    """All headings, all row names, verdicts; no address, script or style sheet from elsewhere."""
+    records = {}
+    for experiment in EXPERIMENTS.values():
+        records |= as_printed(experiment)
+    output = write(tuple(EXPERIMENTS.values()), records, Store(tmp_path))
+    html = output.report.read_text(encoding="utf-8")
+    for experiment in EXPERIMENTS.values():
+        assert f'<section id="{experiment.name}">' in html and f'href="#{experiment.name}"' in html
+        assert (tmp_path / "tables" / f"{experiment.name}.csv").exists()
+    assert "Sphere → Bunny, joint" in html and "digest-of-sp" in html
+    assert "prefers-color-scheme: dark" in html and 'name="viewport"' in html
+    without_images = re.sub(r"data:image/png;base64,[^\"]+", "", html)
+    for foreign in ("http:", "https:", "//", "<script", "<link", "@import", "url("):
+        assert foreign not in without_images
+    assert "figure is missing" in html  # there are no frames in this store
+    assert (tmp_path / "figures" / "scatter-pairs.svg").exists()
+
+
+def test_differences_have_their_sign_and_no_negative_zero():
+    """As a reader expects them."""
+    assert [shown_difference(x) for x in (0.0123, -0.0123, -0.0001, None)] == [
+        "+0.012", "−0.012", "0.000", "",
+    ]  # fmt: skip
