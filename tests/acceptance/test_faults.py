@@ -196,16 +196,16 @@ def test_cancel_while_waiting_to_retry(cluster):
 def test_timeout(cluster):
     """A job that runs too long is timed out, says so, and can be resumed."""
     worker = cluster.worker()
-    job = cluster.submit(timeout=4, frames=400)
+    job = cluster.submit(timeout=15, frames=4000)
     record = cluster.wait_for_state(job, JobState.TIMED_OUT, JobState.CANCELLED)
     assert record.state is JobState.TIMED_OUT
-    assert "4 s" in record.problem.cause
+    assert "15 s" in record.problem.cause
     children = psutil.Process(worker.pid).children
     assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
     done = len(cluster.frames(job))
-    assert done > 0
     cluster.queue.resume(job)
     cluster.wait_until(lambda: len(cluster.frames(job)) > done, "the job to go on")
+    assert cluster.frames(job) == list(range(len(cluster.frames(job))))
 
 
 def test_traces_of_a_kill_in_the_wrong_moment(cluster, undisturbed):
