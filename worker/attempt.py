@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from worker.child import BEAT, STOP
+from worker.heartbeat import BEAT, STOP
 from worker.job import Outcome, Problem
 from worker.settings import Settings
 

@@ -28,10 +28,10 @@ from morph_engine.peak_memory import peak_memory
 from morph_engine.run_record import RunRecord
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
+from worker.heartbeat import STOP
 from worker.job import JobSpec, Outcome, Problem
 from worker.storage import Storage
 
-BEAT, STOP = b".", b"s"
 SILENCE_SECONDS = 6.0
 LOCK_SECONDS = 30.0
 NICENESS = 10

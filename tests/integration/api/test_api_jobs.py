@@ -218,8 +218,11 @@ def test_the_catalog_names_what_there_is(api: Api) -> None:
     json.dumps(schema)
 
 
-def test_the_api_never_loads_taichi(api: Api) -> None:
+def test_api_worker_and_janitor_never_load_taichi(api: Api) -> None:
     """It costs a second and memory, and only engine processes need it."""
-    code = "import sys, server.app, server.answering; sys.exit('taichi' in sys.modules)"
+    code = (
+        "import sys, server.app, server.answering, worker.workflow, worker.janitor; "
+        "sys.exit('taichi' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     assert api.http.get("/v1/methods").status_code == 200

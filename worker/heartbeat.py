@@ -1,0 +1,7 @@
+"""What a worker sends its engine process on standard input, a byte at a time."""
+
+BEAT = b"."
+"""The worker lives."""
+
+STOP = b"s"
+"""Make a result of the finished frames and end."""
