@@ -96,7 +96,7 @@ def verdict(table: Sequence[PlanarRow]) -> list[str]:
             f"0.005 to another: {dco.cluster_005:.0%} and {fourier.cluster_005:.0%}."
         )
     tuned = by_place.get(("dco_repulsion_tuned", "converged"))
-    if tuned and fourier:
+    if tuned:
         sentences.append(
             f"A local repulsion of fitting weight ends at {tuned.cd:.3f} with {tuned.coverage:.0%} "
             f"covered and {tuned.cluster_005:.0%} closer than 0.005: local terms can undo collapse."

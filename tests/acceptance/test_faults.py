@@ -203,6 +203,7 @@ def test_timeout(cluster):
     children = psutil.Process(worker.pid).children
     assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
     done = len(cluster.frames(job))
+    assert done > 0
     cluster.queue.resume(job)
     cluster.wait_until(lambda: len(cluster.frames(job)) > done, "the job to go on")
     assert cluster.frames(job) == list(range(len(cluster.frames(job))))
