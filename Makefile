@@ -4,12 +4,18 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 BENCH_STAMP := $(VENV)/.bench-installed
+WEB    := server/web
+PAGE   := $(WEB)/dist/index.html
+PAGE_SOURCES = $(shell find $(WEB) -path $(WEB)/node_modules -prune -o -path $(WEB)/dist -prune -o -type f -print)
+# Node.js, which builds the page, comes as a package, too
+export PATH := $(abspath $(BIN)):$(PATH)
+CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-faults lint format bench lock clean
+.PHONY: help install demo page test test-browser test-faults lint format bench lock clean
 
 help:  ## show the targets
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 21
 
 install: $(STAMP)  ## build .venv with the locked packages and the `morph` command
 
@@ -25,7 +31,21 @@ demo: install  ## start the service, submit a morph, show its progress, fetch an
 	$(BIN)/python examples/service_demo.py
 
 test: install  ## run the whole test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+page: install $(PAGE)  ## build the web page
+
+$(PAGE): $(WEB)/node_modules/.package-lock.json $(PAGE_SOURCES)
+	cd $(WEB) && npm run build
+	@touch $@
+
+$(WEB)/node_modules/.package-lock.json: $(WEB)/package.json $(WEB)/package-lock.json
+	cd $(WEB) && npm ci
+	@touch $@
+
+test-browser: install page  ## the web page in headless Chromium, against the real service
+	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
+	$(BIN)/python -m pytest -m browser
 
 test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; 10 minutes
 	$(BIN)/python -m pytest -m faults
@@ -54,4 +74,4 @@ lock:  ## resolve the versions again (needs uv)
 	  --no-header --upgrade --extra bench -c requirements.lock -o requirements-bench.lock pyproject.toml
 
 clean:  ## remove .venv and caches
-	rm -rf demo-data $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf demo-data $(VENV) $(WEB)/dist $(WEB)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

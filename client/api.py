@@ -129,6 +129,12 @@ class MorphClient:
 
     download = _blocking(Service.download)
     frame = _blocking(Service.frame)
+    source = _blocking(Service.source)
+    target = _blocking(Service.target)
+    field = _blocking(Service.field)
+    surface = _blocking(Service.surface)
+    thumbnail = _blocking(Service.thumbnail)
+    export = _blocking(Service.export)
     metrics = _blocking(Service.metrics)
     config = _blocking(Service.config)
     log = _blocking(Service.log)
@@ -139,6 +145,9 @@ class MorphClient:
     presets = _blocking(Service.presets)
     methods = _blocking(Service.methods)
     shapes = _blocking(Service.shapes)
+    particles = _blocking(Service.particles)
+    fields = _blocking(Service.fields)
+    export_formats = _blocking(Service.export_formats)
 
     keys = _blocking(Service.keys)
     create_key = _blocking(Service.create_key)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from client import (
+    export_commands,
     interrupt,
     job_commands,
     process_commands,
@@ -35,7 +36,13 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _commands in (reproduce_commands, job_commands, process_commands, service_commands):
+for _commands in (
+    export_commands,
+    reproduce_commands,
+    job_commands,
+    process_commands,
+    service_commands,
+):
     app.add_typer(_commands.app)
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."

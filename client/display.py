@@ -119,8 +119,10 @@ def clock(seconds: float) -> str:
 
 
 def size(byte_count: float) -> str:
-    """A number of bytes as people read it: 512 MB, 1.3 GB."""
+    """A number of bytes as people read it: 20 kB, 512 MB, 1.3 GB."""
     megabytes = byte_count / 1e6
+    if megabytes < 1:
+        return f"{byte_count / 1e3:.0f} kB"
     return f"{megabytes / 1e3:.1f} GB" if megabytes >= 1000 else f"{megabytes:.0f} MB"
 
 

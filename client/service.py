@@ -18,11 +18,15 @@ from client.retry import Attempts
 from client.service_error import ServiceError, strange_answer
 from client.transport import Call, Transport
 from morph_engine.digest import file_sha256
-from morph_engine.errors import ConfigError, MeshError
+from morph_engine.errors import ConfigError, MeshError, ResultError
 from server import schemas
 from server.schemas import (
     BuiltInShape,
     Event,
+    Export,
+    ExportFormat,
+    ExportRequest,
+    Fit,
     Job,
     JobPage,
     JobRequest,
@@ -32,10 +36,13 @@ from server.schemas import (
     MeshPage,
     MeshShape,
     NewKey,
+    ParticleField,
     Resource,
     Shape,
+    SurfaceFormat,
     Sweep,
     SweepRequest,
+    Units,
     WorkerStatus,
 )
 
@@ -48,6 +55,8 @@ ShapeLike = str | Path | Shape
 
 TEXT_PREFIX = "text:"
 PAGE_SIZE = 100
+EXPORT_SECONDS = 0.5
+"""How often to look whether an export is ready."""
 
 
 class Service:
@@ -261,15 +270,100 @@ class Service:
             job_id: The job, which may still run.
             index: 0-based; -1 is the last one finished.
         """
+        return await self._points(_at("jobs", job_id, "frames", str(index)))
+
+    async def source(self, job_id: str) -> NDArray[np.float32]:
+        """Particle positions before the first frame [dx], shape [particle_count, 3], float32."""
+        return await self._points(_at("jobs", job_id, "source"))
+
+    async def target(self, job_id: str) -> NDArray[np.float32]:
+        """Target points [dx], shape [target_count, 3], float32."""
+        return await self._points(_at("jobs", job_id, "target"))
+
+    async def field(self, job_id: str, name: str, index: int = -1) -> NDArray[np.float32]:
+        """A field of a frame, a value per particle, shape [particle_count], float32.
+
+        Args:
+            job_id: The job, which may still run.
+            name: Name of the field, see `fields`.
+            index: Frame, 0-based; -1 is the last one finished.
+        """
         import numpy as np
 
-        response = await self._send(
-            Call(
-                "GET", _at("jobs", job_id, "frames", str(index)), {"format": "npy"}, repeatable=True
-            )
+        path = _at("jobs", job_id, "frames", str(index), "fields", name)
+        values = await self._get_bytes(path, format="f32")
+        return np.frombuffer(values, "<f4").astype(np.float32)
+
+    async def surface(
+        self,
+        job_id: str,
+        index: int = -1,
+        *,
+        format: SurfaceFormat = "glb",
+        units: Units = "user",
+    ) -> bytes:
+        """A closed mesh around the particles of a frame, as a file; it may take seconds.
+
+        Args:
+            job_id: The job, which may still run.
+            index: Frame, 0-based; -1 is the last one finished.
+            format: glb, ply, obj or stl.
+            units: The coordinates of the target's file, or grid units.
+        """
+        path = _at("jobs", job_id, "frames", str(index), "surface")
+        return await self._get_bytes(path, format=format, units=units)
+
+    async def thumbnail(self, job_id: str) -> bytes:
+        """A small PNG of the newest frame."""
+        return await self._get_bytes(_at("jobs", job_id, "thumbnail"))
+
+    async def export(
+        self,
+        job_id: str,
+        path: str | Path,
+        format: str,
+        *,
+        frames: Iterable[int] | None = None,
+        surface: bool = False,
+        units: Units = "user",
+        fields: Iterable[str] = (),
+    ) -> Path:
+        """Have a finished job written in another format, and fetch it into a file.
+
+        Args:
+            job_id: The job.
+            path: The file, which appears whole or not at all and replaces one that is there.
+            format: Name of a format, see `export_formats`.
+            frames: 0-based, negative from the end; None means all. Several frames in a format that
+                holds one a file come as a zip archive.
+            surface: A surface around the particles in their place.
+            units: The coordinates of the target's file, or grid units.
+            fields: Names of fields to carry along.
+
+        Returns:
+            The file.
+
+        Raises:
+            ResultError: The export has failed, or what arrived is damaged.
+        """
+        body = _checked(
+            ExportRequest,
+            format=format,
+            frames=None if frames is None else list(frames),
+            surface=surface,
+            units=units,
+            fields=list(fields),
         )
-        frame: NDArray[np.float32] = np.load(io.BytesIO(response.content), allow_pickle=False)
-        return frame
+        asked = Call("POST", _at("jobs", job_id, "exports"), body=body, repeatable=True)
+        made = self._parse(Export, await self._send(asked))
+        while made.state == "running":
+            await self._transport.sleep(EXPORT_SECONDS)
+            made = await self._get(Export, _at("jobs", job_id, "exports", made.id))
+        if made.problem is not None:
+            raise ResultError(made.problem.cause, made.problem.remedy)
+        file = _at("jobs", job_id, "exports", made.id, "file")
+        await download(self._transport, file, Path(path))
+        return Path(path)
 
     async def metrics(self, job_id: str) -> list[dict[str, float]]:
         """Metrics of every finished frame, and what each took [s]."""
@@ -338,6 +432,32 @@ class Service:
         """The built-in shapes of the service."""
         return await self._get_list(Resource, "/shapes")
 
+    async def fields(self) -> list[ParticleField]:
+        """What particles can be coloured by."""
+        return await self._get_list(ParticleField, "/fields")
+
+    async def export_formats(self) -> list[ExportFormat]:
+        """What jobs can be exported to."""
+        return await self._get_list(ExportFormat, "/exports/formats")
+
+    async def particles(
+        self, shape: ShapeLike, *, points_per_cell_edge: int = 3, fit: Fit = "auto"
+    ) -> NDArray[np.float32]:
+        """The particles a job would fill a shape with [dx], shape [n, 3], float32.
+
+        Args:
+            shape: A file, which is uploaded, or a built-in shape.
+            points_per_cell_edge: Lattice points per grid unit and axis, 1 to 8.
+            fit: As the setting `sampling.fit`; `auto` scales only what does not fit the domain.
+
+        Raises:
+            MeshError: The file cannot be read.
+        """
+        known = await self.shape(shape)
+        place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
+        path = _at(*place, "particles")
+        return await self._points(path, points_per_cell_edge=points_per_cell_edge, fit=fit)
+
     # administration
 
     async def keys(self) -> list[Key]:
@@ -385,6 +505,16 @@ class Service:
 
     async def _get(self, model: type[Model], path: str, **query: Any) -> Model:
         return self._parse(model, await self._send(Call("GET", path, query, repeatable=True)))
+
+    async def _get_bytes(self, path: str, **query: Any) -> bytes:
+        return (await self._send(Call("GET", path, query, repeatable=True))).content
+
+    async def _points(self, path: str, **query: Any) -> NDArray[np.float32]:
+        import numpy as np
+
+        file = io.BytesIO(await self._get_bytes(path, format="npy", **query))
+        points: NDArray[np.float32] = np.load(file, allow_pickle=False)
+        return points
 
     async def _get_json(self, path: str) -> Any:
         response = await self._send(Call("GET", path, repeatable=True))

@@ -14,8 +14,9 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 
+from morph_engine.rendering import height_colors, look
 from morph_engine.trajectory import Trajectory
-from reproduction.particles import film_strip, height_colors, look
+from reproduction.particles import film_strip
 
 
 def main() -> None:

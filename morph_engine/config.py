@@ -223,6 +223,37 @@ class BasisConfig(_Section):
     learning_rate: Positive = Field(0.03, description="AMSGrad on the control points [grid units].")
 
 
+class SlicedConfig(_Section):
+    """Sliced Wasserstein distance of `swd` (docs/method.md)."""
+
+    directions: int = Field(16, ge=1, le=1024, description="Lines to project on, anew each step.")
+
+
+class EntropyConfig(_Section):
+    """Entropic transport of `sinkhorn` (docs/method.md)."""
+
+    blur: Positive = Field(
+        1.0, description="Length below which masses are not told apart [grid units]."
+    )
+    rounds: Count = Field(2, description="Rounds in which potentials are improved in each step.")
+
+
+class TransportConfig(_Section):
+    """Destinations of `transport` and the way there (docs/method.md)."""
+
+    sweeps: Count = Field(
+        8, description="Rounds in which neighbours exchange destinations to shorten their ways."
+    )
+    group: int = Field(300, ge=2, le=2000, description="Particles that exchange at a time.")
+    rest: float = Field(
+        0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
+    )
+    correction: NonNegative = Field(
+        0.03,
+        description="What a particle may be moved in a step beyond the motion of the grid [h].",
+    )
+
+
 class WatchdogConfig(_Section):
     """What makes a trial unacceptable, and what happens then."""
 
@@ -265,6 +296,9 @@ class MorphConfig(_Section):
     regularisers: RegulariserConfig = RegulariserConfig()
     density: DensityConfig = DensityConfig()
     basis: BasisConfig = BasisConfig()
+    sliced: SlicedConfig = SlicedConfig()
+    entropy: EntropyConfig = EntropyConfig()
+    transport: TransportConfig = TransportConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
     stopping: StoppingConfig = StoppingConfig()
 

@@ -42,3 +42,7 @@ class DeviceError(MorphError):
 
 class SimulationError(MorphError):
     """A frame could not be completed even with the smallest step."""
+
+
+class ExtraError(MorphError):
+    """An optional package is not installed."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,7 @@ __all__ = [
     "Definition",
     "chamfer_metrics",
     "deformation_metrics",
+    "determinants",
     "finite_points",
     "target_points",
 ]
@@ -51,14 +52,14 @@ class Definition:
 
     Attributes:
         formula: Plain-text formula in the notation of this module.
-        unit: ``dx`` (grid units), ``dx/s``, ``h`` (sample spacings), ``share`` (0 to 1),
+        unit: ``dx`` (grid units), ``dx^2``, ``dx/s``, ``h`` (sample spacings), ``share`` (0 to 1),
             ``count``, ``ratio``, ``energy`` (mass dx^2 / s^2) or ``-`` (a pure number).
         better: Direction of improvement: ``lower``, ``higher``, or ``one`` (the nearer to 1).
         meaning: What the number tells, in a few words.
     """
 
     formula: str
-    unit: Literal["dx", "dx/s", "h", "share", "count", "ratio", "energy", "-"]
+    unit: Literal["dx", "dx^2", "dx/s", "h", "share", "count", "ratio", "energy", "-"]
     better: Literal["lower", "higher", "one"]
     meaning: str
 
@@ -155,6 +156,18 @@ METRICS: dict[str, Definition] = {
         "-",
         "lower",
         "objective of the methods that move points; density_aware has its own form",
+    ),
+    "loss_transport": Definition(
+        "mean_p norm(x_p - y_p)^2",
+        "dx^2",
+        "lower",
+        "how far `transport` is from where its particles belong by now, y_p",
+    ),
+    "correction": Definition(
+        "mean_p sum of norm(moves beyond the motion of the grid in the frame)",
+        "dx",
+        "lower",
+        "what `transport` mends of the motion in a frame",
     ),
     # fill of the volume (algorithm 9.2)
     "iou": Definition("#(A n B) / #(A u B)", "share", "higher", "volume overlap of the two fills"),
@@ -323,6 +336,29 @@ def chamfer_metrics(
     )
 
 
+def determinants(deformation: npt.ArrayLike) -> Points:
+    """det F of each particle.
+
+    Args:
+        deformation: Deformation gradients F [-], shape [n, 3, 3].
+
+    Returns:
+        Determinants [ratio], shape [n], float64.
+
+    Raises:
+        ValueError: The shape is not [n, 3, 3] with n > 0.
+    """
+    gradients = np.asarray(deformation, dtype=np.float64)
+    if gradients.ndim != 3 or gradients.shape[1:] != (3, 3) or not len(gradients):
+        raise ValueError(f"F has shape {list(gradients.shape)}, expected [n, 3, 3] with n > 0")
+    # the rows' triple product: exact on the identity, and quiet where LAPACK warns of NaN
+    with np.errstate(invalid="ignore", over="ignore"):
+        det: Points = np.einsum(
+            "pi,pi->p", gradients[:, 0], np.cross(gradients[:, 1], gradients[:, 2])
+        )
+    return det
+
+
 def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
     """Range of det F over the particles.
 
@@ -336,14 +372,7 @@ def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
     Raises:
         ValueError: The shape is not [n, 3, 3] with n > 0.
     """
-    gradients = np.asarray(deformation, dtype=np.float64)
-    if gradients.ndim != 3 or gradients.shape[1:] != (3, 3) or not len(gradients):
-        raise ValueError(f"F has shape {list(gradients.shape)}, expected [n, 3, 3] with n > 0")
-    # the rows' triple product: exact on the identity, and quiet where LAPACK warns of NaN
-    with np.errstate(invalid="ignore", over="ignore"):
-        det: npt.NDArray[Any] = np.einsum(
-            "pi,pi->p", gradients[:, 0], np.cross(gradients[:, 1], gradients[:, 2])
-        )
+    det = determinants(deformation)
     known = np.isfinite(det)
     return {
         "det_f_min": float(np.where(known, det, -np.inf).min()),

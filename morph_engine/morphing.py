@@ -26,7 +26,7 @@ from morph_engine.fill import fill_metrics, outside_metrics
 from morph_engine.ingest import check_mesh
 from morph_engine.mesh import Mesh
 from morph_engine.methods import FrameOutcome, Method, Problem
-from morph_engine.metrics import chamfer_metrics, deformation_metrics
+from morph_engine.metrics import chamfer_metrics, deformation_metrics, determinants
 from morph_engine.presets import configure
 from morph_engine.run_record import Geometry, RunRecord
 from morph_engine.sampling import (
@@ -44,6 +44,8 @@ Shape = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
 
 MEGABYTE = 1e6
+BYTES_PER_PARTICLE = 16
+"""Of one frame on the disk: three coordinates and det F."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,7 @@ class Frame:
         events: What the watchdog did in this frame.
         seconds: Wall-clock time of the frame [s].
         cpu_seconds: CPU time of the frame, summed over threads [s].
+        det_f: det F of each particle [ratio], shape [n], float32; None for methods without it.
     """
 
     index: int
@@ -65,6 +68,7 @@ class Frame:
     events: tuple[Event, ...]
     seconds: float
     cpu_seconds: float
+    det_f: NDArray[np.float32] | None = None
 
 
 def prepare(source: Shape, target: Shape, config: MorphConfig | None = None) -> RunRecord:
@@ -182,7 +186,7 @@ def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | No
     if not folder.is_dir():
         raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another --out.")
     # The frames lie on the disk twice while the result is assembled.
-    disk = 2 * record.source_points.nbytes * config.frames / MEGABYTE + 10
+    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * config.frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(
@@ -210,7 +214,13 @@ def _frames(
         for index in range(start):
             events = [Event(**e) for e in spool.events if e["frame"] == index]
             yield Frame(
-                index, spool.positions(index), spool.metrics(index), tuple(events), 0.0, 0.0
+                index=index,
+                positions=spool.positions(index),
+                metrics=spool.metrics(index),
+                events=tuple(events),
+                seconds=0.0,
+                cpu_seconds=0.0,
+                det_f=spool.det_f(index),
             )
     elif spool:
         spool.truncate_after(-1)
@@ -228,11 +238,19 @@ def _frames(
             events=tuple(events),
             seconds=time.perf_counter() - wall,
             cpu_seconds=time.process_time() - cpu,
+            det_f=_det_f(outcome),
         )
         if spool:
-            spool.append(index, frame.positions, metrics, [e.document() for e in events])
+            documents = [event.document() for event in events]
+            spool.append(index, frame.positions, metrics, documents, frame.det_f)
             spool.save_checkpoint(index, method.state(), stopping.state())
         yield frame
+
+
+def _det_f(outcome: FrameOutcome) -> NDArray[np.float32] | None:
+    if outcome.deformation is None:
+        return None
+    return determinants(outcome.deformation).astype(np.float32)
 
 
 def _measure(

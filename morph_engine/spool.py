@@ -1,7 +1,7 @@
 """The run directory `<result>.spool`: what a run has finished, safe at any instant.
 
 run.json and run.npz   the run record, written first
-frame-000000.npz       one frame: positions, metrics, events
+frame-000000.npz       one frame: positions, det F where the method has it, metrics, events
 checkpoint.npz         the state after one frame, from which the run continues bit for bit
 lock                   held by the one process that writes
 
@@ -64,6 +64,35 @@ def read_positions(result_path: str | Path, frame: int) -> NDArray[np.float32]:
     with _stored(path) as arrays:
         positions: NDArray[np.float32] = arrays["positions"]
         return positions
+
+
+def read_det_f(result_path: str | Path, frame: int) -> NDArray[np.float32] | None:
+    """det F of one finished frame of a run that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+        frame: Index of the frame, from 0.
+
+    Returns:
+        det F of each particle [ratio], shape [n], float32; None where the method has none.
+
+    Raises:
+        ResultError: The frame is missing or damaged.
+    """
+    with _stored(_frame_path(spool_path(result_path), frame)) as arrays:
+        return arrays.get("det_f")
+
+
+def read_run(result_path: str | Path) -> RunRecord:
+    """What a run is made of that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+
+    Raises:
+        ResultError: There is no such run, or it is damaged.
+    """
+    return _read_run(spool_path(result_path))[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +188,7 @@ class Spool:
         with _writing(path):
             lock = _lock(path) if writable else None
         try:
-            with _reading(path / _RUN):
-                document = json.loads((path / _RUN).read_text(encoding="utf-8"))
-                stored = RunRecord.restore(document, _load_arrays(path / _ARRAYS))
+            document, stored = _read_run(path)
             if run is not None:
                 _check_same(path, document, run.document())
             return cls(Path(result_path), stored, lock)
@@ -204,12 +231,27 @@ class Spool:
                 raise ValueError(f"holds an array of shape {positions.shape}")
             return positions
 
+    def det_f(self, frame: int) -> NDArray[np.float32] | None:
+        """det F of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            det F of each particle [ratio], shape [n], float32; None where the method has none.
+
+        Raises:
+            ResultError: The file is missing or damaged.
+        """
+        return read_det_f(self.result_path, frame)
+
     def append(
         self,
         frame: int,
         positions: NDArray[np.float32],
         metrics: Mapping[str, float],
         events: Sequence[Mapping[str, Any]] = (),
+        det_f: NDArray[np.float32] | None = None,
     ) -> None:
         """Add the next frame; when this returns, no crash can take it away.
 
@@ -218,22 +260,31 @@ class Spool:
             positions: Particle positions [dx], shape [n, 3], float32, original particle order.
             metrics: Metrics by name; a frame may lack some.
             events: JSON objects with frame, kind, message and data.
+            det_f: det F of each particle [ratio], shape [n], float32, where the method has it.
 
         Raises:
             ResultError: The disk refuses.
-            ValueError: The frame is not the next one, or the positions have another shape.
+            ValueError: The frame is not the next one, or an array has another shape.
         """
         if frame != self.frame_count:
             raise ValueError(f"frame {frame} after {self.frame_count} frames")
         if positions.shape != (self.run.particle_count, 3):
             raise ValueError(f"positions of shape {positions.shape}")
+        if det_f is not None and det_f.shape != (self.run.particle_count,):
+            raise ValueError(f"det F of shape {det_f.shape}")
         notes: Json = {
             "metrics": {name: float(value) for name, value in metrics.items()},
             "events": list(events),
         }
         encoded = _encode(notes)
+        arrays: dict[str, NDArray[Any]] = {
+            _JSON: encoded,
+            "positions": positions.astype(np.float32),
+        }
+        if det_f is not None:
+            arrays["det_f"] = det_f.astype(np.float32)
         with _writing(self.path), replacing(self._frame_path(frame)) as path:
-            _save_arrays(path, {_JSON: encoded, "positions": positions.astype(np.float32)})
+            _save_arrays(path, arrays)
         self._notes.append(_decode(encoded))
 
     def save_checkpoint(
@@ -322,6 +373,13 @@ class Spool:
 
 def _frame_path(spool: Path, frame: int) -> Path:
     return spool / f"frame-{frame:06d}.npz"
+
+
+def _read_run(path: Path) -> tuple[Json, RunRecord]:
+    """The record in a run directory, as it is stored and as it is used."""
+    with _reading(path / _RUN):
+        document: Json = json.loads((path / _RUN).read_text(encoding="utf-8"))
+        return document, RunRecord.restore(document, _load_arrays(path / _ARRAYS))
 
 
 def _lock(path: Path) -> BinaryIO:

@@ -1,9 +1,9 @@
 """The result file: a VTKHDF moving point cloud that ParaView opens and that repeats its own run.
 
 `/VTKHDF` is temporal PolyData as VTK >= 9.3 reads it: one step per frame, one vertex per particle,
-the metrics as field data. `/morph` holds the run record, the events and the status.
-Every array is stored with a checksum in chunks, a frame per chunk: a flipped bit costs one frame
-and is noticed.
+det F as point data where the method has it, the metrics as field data. `/morph` holds the run
+record, the events and the status. Every array is stored with a checksum in chunks, a frame per
+chunk: a flipped bit costs one frame and is noticed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 def write_result(spool: Spool, path: str | Path | None = None, *, status: Status) -> Path:
     """Assemble the result file of all finished frames; the spool stays as it is.
 
-    The file is assembled in memory, which takes 12 bytes per particle and frame.
+    The file is assembled in memory, which takes 16 bytes per particle and frame.
 
     Args:
         spool: The run directory.
@@ -81,6 +81,14 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
     for frame in range(frame_count):
         points[frame * particle_count : (frame + 1) * particle_count] = spool.positions(frame)
 
+    det_f = [spool.det_f(frame) for frame in range(frame_count)]
+    known = [values for values in det_f if values is not None]
+    with_det_f = 0 < len(known) == frame_count
+    if with_det_f:
+        root.create_group("PointData").create_dataset(
+            "det_f", data=np.concatenate(known), chunks=(particle_count,), fletcher32=True
+        )
+
     shown = particle_count if frame_count else 0  # a run stopped in its first frame shows nothing
     _store(root, "NumberOfPoints", np.array([shown]))
     for kind in _CELLS:
@@ -99,6 +107,8 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
     _store(steps, "PartOffsets", same)
     _store(steps, "NumberOfParts", same + 1)
     _store(steps, "PointOffsets", frames * particle_count)
+    if with_det_f:
+        _store(steps.create_group("PointDataOffsets"), "det_f", frames * particle_count)
     _store(steps, "CellOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
     _store(steps, "ConnectivityIdOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
 
@@ -198,7 +208,7 @@ class Trajectory:
         Raises:
             ResultError: There is no such frame, or its checksum fails; others may still be read.
         """
-        index = self._index(frame)
+        index = self.index(frame)
         start = index * self.particle_count
         with _reading(self.path, f"frame {index} of "):
             positions: NDArray[np.float32] = self._points[start : start + self.particle_count]
@@ -218,6 +228,28 @@ class Trajectory:
         """
         matrix = self.transform
         return self.positions(frame) @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def det_f(self, frame: int) -> NDArray[np.float32] | None:
+        """det F of one frame.
+
+        Args:
+            frame: Index of the frame from 0; negative counts from the end.
+
+        Returns:
+            det F of each particle [ratio], shape [n], float32; None where the file has none: its
+            method moves points without deforming matter, or an older version wrote it.
+
+        Raises:
+            ResultError: As `positions`.
+        """
+        index = self.index(frame)
+        start = index * self.particle_count
+        with _reading(self.path, f"det F of frame {index} of "):
+            stored = self._file.get("VTKHDF/PointData/det_f")
+            if stored is None:
+                return None
+            det_f: NDArray[np.float32] = stored[start : start + self.particle_count]
+            return det_f
 
     @cached_property
     def times(self) -> NDArray[np.float64]:
@@ -245,7 +277,7 @@ class Trajectory:
         Raises:
             ResultError: There is no such frame, or a checksum fails.
         """
-        index = self._index(frame)
+        index = self.index(frame)
         row = {name: float(values[index]) for name, values in self.metrics.items()}
         return {name: value for name, value in row.items() if not np.isnan(value)}
 
@@ -319,7 +351,12 @@ class Trajectory:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _index(self, frame: int) -> int:
+    def index(self, frame: int) -> int:
+        """Index from 0 of a frame, negative ones counted from the end.
+
+        Raises:
+            ResultError: There is no such frame.
+        """
         if not -self.frame_count <= frame < self.frame_count:
             raise ResultError(
                 f"{self.path} has no frame {frame}.",

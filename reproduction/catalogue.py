@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable, Sequence
 
 from morph_engine.errors import ConfigError
+from reproduction.beyond import BEYOND
 from reproduction.experiment import Experiment, distinct
 from reproduction.experiments import EXPERIMENTS
 from reproduction.run import Run
@@ -15,7 +16,7 @@ Subject = Experiment | Study
 
 ALL = "all"
 
-SUBJECTS: dict[str, Subject] = {**EXPERIMENTS, **STUDIES}
+SUBJECTS: dict[str, Subject] = {**EXPERIMENTS, **BEYOND, **STUDIES}
 
 
 def choose(names: Sequence[str], *, quick: bool = False) -> tuple[Subject, ...]:

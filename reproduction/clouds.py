@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from morph_engine.fill import density_ratio
+from morph_engine.rendering import height_colors, look
 from reproduction.charts import BLACK, VERMILION, style
-from reproduction.particles import film_strip, height_colors, look
+from reproduction.particles import film_strip
 from reproduction.run import Run
 from reproduction.store import Store
 

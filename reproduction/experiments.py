@@ -43,7 +43,8 @@ OLDER: dict[str, Any] = {
 TEASER: dict[str, Any] = {"grid_loss.final_weight": 1.0, "stopping.patience": 10}
 TEASER_FRAMES = 50
 
-_FILES = {name: f"{name.lower()}.obj" for name in (*SHAPES, "Dragon")}
+_FILES = {name: f"{name.lower()}.obj" for name in (*SHAPES, "Dragon", "Heart")}
+_FILES |= {letter: f"letter_{letter}.obj" for letter in "CEV"}
 assert set(_FILES.values()) <= set(ASSETS)
 
 
@@ -56,6 +57,7 @@ def morph(
     variant: str = "",
     seed: int = SEEDS[0],
     frames: int = 40,
+    preset: str = "published",
     overrides: Mapping[str, Any] | None = None,
 ) -> Run:
     """A run between two shapes of the paper.
@@ -68,6 +70,7 @@ def morph(
         variant: What sets it apart from the plain run, for its id.
         seed: Seed of the jitter.
         frames: Frames of 30 steps (points) or 10 layers (matter).
+        preset: Preset to start from.
         overrides: Settings by dotted path.
     """
     parts = [
@@ -83,6 +86,7 @@ def morph(
         source=_FILES[source],
         target=_FILES[target],
         method=method,
+        preset=preset,
         frames=frames,
         seed=seed,
         points_per_cell_edge=edge,
@@ -182,14 +186,14 @@ SPHERE = Experiment(
     remarks=("3 points per cell edge, frame 39. Joint is the paper's method.",),
 )
 
-_PAIRS = tuple((source, target) for source in SHAPES for target in SHAPES if source != target)
+PAIR_NAMES = tuple((source, target) for source in SHAPES for target in SHAPES if source != target)
 _PAIR_ROWS = tuple(
     _row(
         f"{source} → {target}, {method}",
         morph(source, target, method),
         group=f"{source} → {target}",
     )
-    for source, target in _PAIRS
+    for source, target in PAIR_NAMES
     for method in ("physics", "joint", "dco")
 )
 

@@ -65,7 +65,9 @@ def draw_all(table: Table, store: Store, folder: Path) -> tuple[Picture, ...]:
     Raises:
         OSError: The folder cannot be written.
     """
-    return tuple(_drawn(plan, table, store, folder) for plan in PLANS[table.experiment.name])
+    return tuple(
+        _drawn(plan, table, store, folder) for plan in PLANS.get(table.experiment.name, ())
+    )
 
 
 def _drawn(plan: Plan, table: Table, store: Store, folder: Path) -> Picture:

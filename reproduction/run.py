@@ -17,8 +17,12 @@ SIMULATED = ("physics", "joint")
 settings for them."""
 
 _OF_POINTS = ("points", "regularisers", "density", "basis")
-_OF_MATTER = ("material", "time", "smoothing", "adjoint", "grid_loss", "chamfer")
-"""Sections of the configuration that methods of the other kind do not read."""
+_OF_CONTROL = ("smoothing", "adjoint", "grid_loss", "chamfer")
+_OF_MATTER = ("material", "time")
+"""Sections of the configuration that only methods of that kind read."""
+
+_OF_ONE = {"transport": "transport", "swd": "sliced", "sinkhorn": "entropy"}
+"""Sections that a single method reads."""
 
 CPU_SECONDS_AT_START = 10.0
 CPU_SECONDS_PER_PARTICLE_FRAME = {
@@ -26,6 +30,9 @@ CPU_SECONDS_PER_PARTICLE_FRAME = {
     "physics": 73e-6,
     "regularised": 30e-6,
     "shared_basis": 25e-6,
+    "transport": 20e-6,
+    "swd": 150e-6,
+    "sinkhorn": 60e-6,
 }
 CPU_SECONDS_PER_POINT_FRAME = 15e-6
 QUICK_SHARE = 0.4
@@ -82,12 +89,21 @@ class Run(BaseModel):
         Raises:
             MorphError: A mesh is missing, or as `config`.
         """
-        unread = _OF_POINTS if self.method in SIMULATED else _OF_MATTER
         inputs = {
-            "config": self.config().model_dump(mode="json", exclude={"preset", *unread}),
+            "config": self.config().model_dump(mode="json", exclude={"preset", *self._unread}),
             "shapes": [meshes.digest(name) for name in self.shapes],
         }
         return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def _unread(self) -> tuple[str, ...]:
+        """Sections of the configuration that the method does not read."""
+        of_others = tuple(section for name, section in _OF_ONE.items() if name != self.method)
+        if self.method == "transport":
+            return (*of_others, *_OF_POINTS, *_OF_CONTROL)
+        if self.method in SIMULATED:
+            return (*of_others, *_OF_POINTS)
+        return (*of_others, *_OF_MATTER, *_OF_CONTROL)
 
     def quick(self) -> Run:
         """The same with the preset `fast`, where that changes anything."""

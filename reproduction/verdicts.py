@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from reproduction import beyond_verdicts
 from reproduction.printed import CLAIMS, TARGETS
 from reproduction.tables import Table, distance_from_ideal
 
@@ -297,4 +298,8 @@ _VERDICTS: dict[str, Verdict] = {
     "teaser": _teaser,
     "fairness": _fairness,
     "trial": _trial,
+    "transport": beyond_verdicts.transport,
+    "finer": beyond_verdicts.bounds,
+    "repeats": beyond_verdicts.bounds,
+    "objectives": beyond_verdicts.objectives,
 }

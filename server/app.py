@@ -13,14 +13,21 @@ from fastapi_offline import FastAPIOffline
 from server import (
     catalog,
     contract,
+    ends,
     events,
+    exports,
+    fields,
     health,
     jobs,
     keys,
     meshes,
+    page,
+    particles,
     problems,
     results,
+    surfaces,
     sweeps,
+    thumbnails,
     workers,
 )
 from server.access import Gate, is_loopback
@@ -33,7 +40,10 @@ Morph one 3D shape into another by physics: upload meshes, submit jobs, watch th
 Every error is an RFC 9457 problem with the cause in `detail` and what to do about it in `remedy`.
 """
 
-ROUTERS = (meshes, jobs, results, events, sweeps, catalog, keys, workers)
+ROUTERS = (
+    meshes, jobs, results, ends, fields, surfaces, thumbnails, exports, events, sweeps, catalog,
+    particles, keys, workers,
+)  # fmt: skip
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -54,6 +64,7 @@ def create_app(settings: Settings) -> FastAPI:
             yield
         finally:
             service.watches.close()
+            service.end_children()
             await anyio.to_thread.run_sync(service.close)
 
     app = FastAPIOffline(  # /docs works without a network
@@ -73,5 +84,6 @@ def create_app(settings: Settings) -> FastAPI:
         v1.include_router(room.router)
     app.include_router(v1)
     app.include_router(health.router)
+    app.include_router(page.router)
     contract.install(app)
     return app

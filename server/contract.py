@@ -13,9 +13,10 @@ from pydantic.json_schema import models_json_schema
 from morph_engine import methods, presets, shapes
 from morph_engine.shapes import TEXT_LIMIT, TEXT_PREFIX
 from server.problems import KINDS, MEDIA_TYPE
-from server.schemas import JobRequest, KeyRequest, ProblemDocument, SweepRequest
+from server.schemas import ExportRequest, JobRequest, KeyRequest, ProblemDocument, SweepRequest
 
 EXTRA_MODELS: tuple[type[BaseModel], ...] = (
+    ExportRequest,
     JobRequest,
     KeyRequest,
     ProblemDocument,
@@ -29,26 +30,37 @@ JOB_ID = {"type": "string", "pattern": "^[0-9a-z]{26}$"}
 PATH_SCHEMAS: dict[str, dict[str, Any]] = {
     "job_id": JOB_ID,
     "sweep_id": JOB_ID,
+    "export_id": JOB_ID,
     "mesh_id": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
     "worker_id": {"type": "string", "pattern": "^[A-Za-z0-9.-]+$"},
     "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"},
+    "shape": {"type": "string", "minLength": 1, "maxLength": 64},
+    "field": {"type": "string", "pattern": "^[a-z_]{1,40}$"},
 }
 
 CONFLICTS = {
     "deleteMesh", "getResult", "deleteJob", "cancelJob", "resumeJob", "retryJob", "submitJob",
-    "submitSweep", "makeKey", "revokeKey", "uploadMesh",
+    "submitSweep", "makeKey", "revokeKey", "uploadMesh", "exportJob", "getExportFile",
 }  # fmt: skip
-LIMITED = {"resumeJob": (413, 429), "retryJob": (413, 429), "getEvents": (429,)}
-RANGES = {"getResult", "getMeshFile", "getLog"}
+LIMITED = {
+    "getSurface": (413,),
+    "resumeJob": (413, 429),
+    "retryJob": (413, 429),
+    "getEvents": (429,),
+}
+RANGES = {"getExportFile", "getResult", "getMeshFile", "getLog"}
 HEADERS: dict[str, dict[str, Any]] = {
     "Location": {"schema": {"type": "string"}, "description": "Where it is from now on."},
     "Retry-After": {"schema": {"type": "integer"}, "description": "When to look next [s]."},
 }
 CREATES = {"uploadMesh": ("Location",), "makeKey": ("Location",)} | dict.fromkeys(
-    ("submitJob", "submitSweep"), ("Location", "Retry-After")
+    ("submitJob", "submitSweep", "exportJob"), ("Location", "Retry-After")
 )
 
-MADE_BY = {"mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep"}
+MADE_BY = {
+    "mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep",
+    "export_id": "exportJob",
+}  # fmt: skip
 """The operation that makes the thing of an id."""
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
+from morph_engine.run_record import RunRecord
 from server.keyring import Caller
 from server.problems import ProblemError, not_found
 from server.schemas import Job, Progress
 from server.service import Service
+from worker.frames import Frame, read_frame, read_record
 from worker.job import JobState
 from worker.progress import read_progress
 from worker.queue import JobRecord
@@ -24,6 +29,65 @@ def find(job_id: str, caller: Caller, service: Service) -> JobRecord:
     if record is None or not caller.sees(record.owner):
         raise not_found("job", job_id)
     return record
+
+
+def find_frame(record: JobRecord, index: int, service: Service) -> Frame:
+    """A frame of a job; -1 is the last one.
+
+    Raises:
+        ProblemError: 404.
+        ResultError: It is damaged.
+    """
+    frame = read_frame(service.storage.result_path(record.id), index, record.state.finished)
+    if frame is None:
+        yet = "" if record.state.finished else " yet"
+        raise ProblemError(
+            404,
+            f"There is no frame {index}{yet}.",
+            "See the job's progress for the number of frames.",
+        )
+    return frame
+
+
+def find_inputs(record: JobRecord, service: Service) -> RunRecord:
+    """What a job is made of.
+
+    Raises:
+        ProblemError: 404, it has not begun.
+    """
+    inputs = read_record(service.storage.result_path(record.id))
+    if inputs is None:
+        raise ProblemError(
+            404,
+            "The job has not begun, and has no particles yet.",
+            "Wait until it runs; /v1/shapes and /v1/meshes show the particles of a shape before.",
+        )
+    return inputs
+
+
+def find_result(record: JobRecord, service: Service) -> Path:
+    """The result file of a finished job.
+
+    Raises:
+        ProblemError: 409, there is none.
+    """
+    path = service.storage.result_path(record.id)
+    if not record.state.finished or not path.is_file():
+        raise ProblemError(
+            409,
+            f"The job is {record.state.value.replace('_', ' ')} and has no result.",
+            "Wait for it to finish; single frames can be fetched while it runs.",
+            headers={} if record.state.finished else {"Retry-After": "5"},
+        )
+    return path
+
+
+def file_stem(record: JobRecord) -> str:
+    """What to call files of a job, as `morph run` would: sphere-to-bunny."""
+    ends = [str(record.attributes.get(f"{role}_name", role)) for role in ("source", "target")]
+    plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
+    partial = "" if record.state is JobState.SUCCEEDED else "-partial"
+    return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}"
 
 
 def is_id(text: str) -> bool:

@@ -89,6 +89,15 @@ class Limits:
                 headers={"Retry-After": "60"},
             )
 
+    def room(self, owner: str) -> int:
+        """Disk that a key may still fill [bytes].
+
+        Raises:
+            ProblemError: 413, there is none.
+        """
+        self.check_disk(owner)
+        return self._settings.disk_bytes_per_key - self.disk_bytes(owner)
+
     def disk_bytes(self, owner: str) -> int:
         """Disk that a key fills, measured within the last half minute [bytes]."""
         with self._lock:

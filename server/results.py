@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
-import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,19 +12,15 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
 from morph_engine.digest import file_sha256
-from server import frames, job_view
+from server import job_view, points
 from server.access import Reader
 from server.meshes import matches
-from server.problems import ProblemError
 from server.schemas import FrameFormat
 from server.service import Service, Services
-from worker.job import JobState
-from worker.queue import JobRecord
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
 HDF5 = "application/vnd.hdfgroup.hdf5"
-BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
 
 
 @router.get(
@@ -35,8 +29,8 @@ BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
     summary="Download the result",
     response_class=Response,
     responses={
-        200: {"content": {HDF5: BINARY}, "description": "The file."},
-        206: {"content": {HDF5: BINARY}, "description": "The part asked for with Range."},
+        200: {"content": {HDF5: points.BINARY}, "description": "The file."},
+        206: {"content": {HDF5: points.BINARY}, "description": "The part asked for with Range."},
         304: {"description": "You have it already."},
     },
 )
@@ -47,14 +41,7 @@ def get_result(job_id: str, request: Request, caller: Reader, service: Services)
     leaves the frames it had finished.
     """
     record = job_view.find(job_id, caller, service)
-    path = service.storage.result_path(job_id)
-    if not record.state.finished or not path.is_file():
-        raise ProblemError(
-            409,
-            f"The job is {record.state.value.replace('_', ' ')} and has no result.",
-            "Wait for it to finish; single frames can be fetched while it runs.",
-            headers={} if record.state.finished else {"Retry-After": "5"},
-        )
+    path = job_view.find_result(record, service)
     if record.outcome is not None:
         digest = record.outcome.sha256
     else:
@@ -63,7 +50,9 @@ def get_result(job_id: str, request: Request, caller: Reader, service: Services)
     headers = {"ETag": f'"{digest}"', "Cache-Control": "private, no-cache"}
     if matches(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    return FileResponse(path, headers=headers, media_type=HDF5, filename=_file_name(record))
+    return FileResponse(
+        path, headers=headers, media_type=HDF5, filename=f"{job_view.file_stem(record)}.vtkhdf"
+    )
 
 
 @router.get(
@@ -71,23 +60,9 @@ def get_result(job_id: str, request: Request, caller: Reader, service: Services)
     operation_id="getFrame",
     summary="Fetch one frame",
     response_class=Response,
-    responses={
-        200: {
-            "content": {
-                "application/octet-stream": BINARY,
-                frames.PLY: BINARY,
-                frames.NPY: BINARY,
-            },
-            "headers": {
-                "Morph-Frame": {"schema": {"type": "integer"}, "description": "Its index."},
-                "Morph-Particles": {"schema": {"type": "integer"}, "description": "Their number."},
-                "Morph-Offset": {"schema": {"type": "number"}, "description": "Of u16, see above."},
-                "Morph-Scale": {"schema": {"type": "number"}, "description": "Of u16, see above."},
-            },
-            "description": "Positions of all particles.",
-        },
-        304: {"description": "You have it already."},
-    },
+    responses=points.described(
+        "Positions of all particles.", Morph_Frame=("integer", "Index of the frame.")
+    ),
 )
 def get_frame(
     job_id: str,
@@ -105,27 +80,11 @@ def get_frame(
     PLY point cloud. `npy`: a NumPy array of shape [n, 3].
     """  # noqa: D205
     record = job_view.find(job_id, caller, service)
-    frame = frames.read(service.storage.result_path(job_id), index, record.state.finished)
-    if frame is None:
-        raise ProblemError(
-            404,
-            f"There is no frame {index} yet." if not record.state.finished
-            else f"There is no frame {index}.",
-            "See the job's progress for the number of frames.",
-        )  # fmt: skip
+    frame = job_view.find_frame(record, index, service)
     extent = float(record.spec.config["grid"]["half_extent"])
-    body, media_type = frames.encode(frame.positions, format, extent)
-    headers = {
-        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
-        "Cache-Control": "private, no-cache",
-        "Morph-Frame": str(frame.index),
-        "Morph-Particles": str(len(frame.positions)),
-    }
-    if format == "u16":
-        headers |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / 65535)}
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type=media_type)
+    return points.answer(
+        request, frame.positions, format, extent, {"Morph-Frame": str(frame.index)}
+    )
 
 
 @router.get(
@@ -194,11 +153,3 @@ def _metrics(job_id: str, service: Service) -> list[dict[str, float]]:
 def _digest(path: Path, changed_at: int, size: int) -> str:
     """SHA-256 of a partial result, which no outcome names."""
     return file_sha256(path)
-
-
-def _file_name(record: JobRecord) -> str:
-    """As `morph run` would name it: sphere-to-bunny.vtkhdf."""
-    ends = [str(record.attributes.get(f"{role}_name", role)) for role in ("source", "target")]
-    plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
-    partial = "" if record.state is JobState.SUCCEEDED else "-partial"
-    return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}.vtkhdf"

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from worker.job import (
     BuiltInShape,
+    Fit,
     JobState,
     MeshShape,
     Outcome,
@@ -20,6 +21,8 @@ from worker.job import (
 Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
 Scope = Literal["read", "submit", "admin"]
 FrameFormat = Literal["f32", "u16", "ply", "npy"]
+SurfaceFormat = Literal["glb", "ply", "obj", "stl"]
+Units = Literal["grid", "user"]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]
 
@@ -222,9 +225,61 @@ class Resource(BaseModel):
     config: dict[str, Any] | None = Field(None, description="Of a preset: all settings, resolved.")
 
 
+class ParticleField(BaseModel):
+    """A number for each particle, to colour it by."""
+
+    name: str
+    label: str
+    unit: str = Field(description="dx (grid units), h (lattice spacings), ratio or count.")
+    meaning: str
+    diverging: bool = Field(description="Whether 1 is neutral, with a meaning on either side.")
+
+
+class ExportRequest(Request):
+    """Frames to write in another format."""
+
+    format: str = Field(max_length=40, description="Name of a format, see /v1/exports/formats.")
+    frames: list[int] | None = Field(
+        None, min_length=1, max_length=10000, description="0-based, negative from the end; or all."
+    )
+    surface: bool = Field(False, description="A surface around the particles in their place.")
+    units: Units = Field("user", description="The coordinates of the target's file, or grid units.")
+    fields: list[str] = Field(
+        default_factory=list, max_length=20, description="To carry along, see /v1/fields."
+    )
+
+
+class Export(BaseModel):
+    """An export of a job."""
+
+    id: str
+    job: str
+    state: Literal["running", "ready", "failed"]
+    progress: float = Field(description="Share that is done, 0 to 1.")
+    problem: Problem | None = Field(description="Once it has failed.")
+    file_name: str | None = Field(description="Once it is ready.")
+    size: int | None = Field(description="Once it is ready [bytes].")
+    links: dict[str, str] = Field(description="`self`, and `file` once it is ready.")
+
+
+class ExportFormat(BaseModel):
+    """A format to export to."""
+
+    name: str
+    suffix: str = Field(description="Ending of its files, with the dot.")
+    media_type: str
+    kind: Literal["frame", "sequence", "table"] = Field(
+        description="One frame a file, all in one, or numbers without geometry."
+    )
+    carries: list[Literal["points", "surface", "fields"]]
+    extra: str | None = Field(description="Extra of the package that the service must have for it.")
+    description: str
+
+
 __all__ = [
-    "BuiltInShape", "Device", "Event", "EventPage", "FrameFormat", "Job", "JobPage", "JobRequest",
-    "JobState", "Key", "KeyRequest", "Mesh", "MeshPage", "MeshShape", "NewKey", "Outcome",
-    "Problem", "ProblemDocument", "Progress", "Resource", "Scope", "Shape", "Sweep",
-    "SweepRequest", "SweepRow", "WorkerStatus",
+    "BuiltInShape", "Device", "Event", "EventPage", "Export", "ExportFormat", "ExportRequest",
+    "Fit", "FrameFormat", "Job", "JobPage", "JobRequest", "JobState", "Key", "KeyRequest", "Mesh",
+    "MeshPage", "MeshShape", "NewKey", "Outcome", "ParticleField", "Problem", "ProblemDocument",
+    "Progress", "Resource", "Scope", "Shape", "SurfaceFormat", "Sweep", "SweepRequest", "SweepRow",
+    "Units", "WorkerStatus",
 ]  # fmt: skip

@@ -10,9 +10,12 @@ import sqlalchemy as sa
 from fastapi import Depends, Request
 
 from server import tables
+from server.derivations import Derivations
+from server.export_tasks import ExportTasks
 from server.keyring import Keyring
 from server.limits import Limits
 from server.mesh_store import MeshStore
+from server.previews import Previews
 from server.sweep_store import SweepStore
 from server.watch import Watches
 from worker.queue import JobQueue, database
@@ -21,6 +24,14 @@ from worker.storage import Storage
 
 INSPECTIONS = 2
 """Meshes parsed at the same time; each may take the memory of `inspect_memory_bytes`."""
+
+COMPUTATIONS = 1
+"""Fields and thumbnails computed at the same time, in this process."""
+
+
+SURFACES = 1
+EXPORTS = 1
+"""Surfaces and exports made at the same time; each may take the memory of `export_memory_bytes`."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +48,10 @@ class Service:
     limits: Limits
     watches: Watches
     inspections: anyio.CapacityLimiter
+    computations: anyio.CapacityLimiter
+    previews: Previews
+    surfaces: Derivations
+    exports: ExportTasks
 
     @classmethod
     def open(cls, settings: Settings) -> Service:
@@ -47,6 +62,7 @@ class Service:
         engine = database(settings)
         tables.create(engine)
         meshes = MeshStore(engine)
+        inspections = anyio.CapacityLimiter(INSPECTIONS)
         return cls(
             settings=settings,
             storage=storage,
@@ -57,8 +73,17 @@ class Service:
             sweeps=SweepStore(engine),
             limits=Limits(settings, storage, queue, meshes),
             watches=Watches(queue, storage, settings.watchers),
-            inspections=anyio.CapacityLimiter(INSPECTIONS),
+            inspections=inspections,
+            computations=anyio.CapacityLimiter(COMPUTATIONS),
+            previews=Previews(settings, inspections),
+            surfaces=Derivations(SURFACES),
+            exports=ExportTasks(EXPORTS),
         )
+
+    def end_children(self) -> None:
+        """End what is being computed."""
+        self.surfaces.close()
+        self.exports.close()
 
     def close(self) -> None:
         """Give the connections back."""

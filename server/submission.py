@@ -143,7 +143,12 @@ def submit(
 
 def repeated_id(kind: str, caller: Caller, key: str) -> str:
     """The id that an idempotency key of a caller stands for."""
-    digest = hashlib.sha256(f"{kind}\0{caller.name}\0{key}".encode()).digest()
+    return digest_id(f"{kind}\0{caller.name}\0{key}")
+
+
+def digest_id(text: str) -> str:
+    """An id, as jobs have it, that follows from a text."""
+    digest = hashlib.sha256(text.encode()).digest()
     number = int.from_bytes(digest[:17], "big") >> 6
     return "".join(_DIGITS[number >> shift & 31] for shift in range(125, -1, -5))
 

@@ -9,7 +9,6 @@ first.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import select
@@ -30,19 +29,17 @@ from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
 from worker.heartbeat import STOP
 from worker.job import JobSpec, Outcome, Problem
+from worker.priority import yield_to_others
 from worker.storage import Storage
 
 SILENCE_SECONDS = 6.0
 LOCK_SECONDS = 30.0
-NICENESS = 10
-"""The service answers while engines compute: their processes yield to all others."""
-
 ORPHANED, STOPPED = 75, 76
 
 
 def main(job_dir: Path, attempt: int, threads: int) -> None:
     """Compute a job, or go on with it, and say how it went."""
-    _yield_to_others()
+    yield_to_others()
     threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
     storage = Storage(job_dir.parent.parent)
     lock = _locked(job_dir / "lock")
@@ -150,16 +147,6 @@ def _problem(error: MorphError) -> Problem:
         return Problem(cause=error.cause, remedy=error.remedy, kind="simulation")
     full = isinstance(error, ResourceError | ResultError)
     return Problem(cause=error.cause, remedy=error.remedy, kind="resources" if full else "input")
-
-
-def _yield_to_others() -> None:
-    """Let all others have the cores first.
-
-    Where Linux groups processes by session it heeds the niceness of a group; ours is this process.
-    """
-    os.nice(NICENESS)
-    with contextlib.suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 def _locked(path: Path) -> BinaryIO:

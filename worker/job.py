@@ -7,6 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+Fit = Literal["auto", "none", "volume", "extent"]
+"""How a shape is placed in the domain; `auto` scales only what does not fit."""
+
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 

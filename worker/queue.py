@@ -101,6 +101,7 @@ class JobQueue:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._engine = database(settings)
+        self._reader = database(settings, lone_queries=True)
         self._client = DBOSClient(
             system_database_url=settings.system_database_url,
             system_database_engine=self._engine,
@@ -288,6 +289,7 @@ class JobQueue:
     def close(self) -> None:
         """Give the connections back."""
         self._client.destroy()
+        self._reader.dispose()
         self._engine.dispose()
 
     def _next_place(self, owner: str) -> int:
@@ -365,8 +367,18 @@ class JobQueue:
         return sa.func.coalesce(t.c.completed_at >= t.c.workflow_deadline_epoch_ms, sa.false())
 
     def _rows(self, query: Any) -> Sequence[Any]:
-        with self._client._sys_db.engine.connect() as connection:
-            return connection.execute(query).all()
+        """The rows of a query; asked again if its connection turns out to have died in the pool."""
+        try:
+            return self._rows_now(query)
+        except sa.exc.DBAPIError as error:
+            if not error.connection_invalidated:
+                raise
+            return self._rows_now(query)
+
+    def _rows_now(self, query: Any) -> Sequence[Any]:
+        schema = self._client._sys_db.engine.get_execution_options()
+        with self._reader.connect() as connection:
+            return connection.execute(query, execution_options=schema).all()
 
 
 def migrate(settings: Settings) -> None:
@@ -375,13 +387,20 @@ def migrate(settings: Settings) -> None:
     DBOS.migrate(settings.system_database_url)
 
 
-def database(settings: Settings) -> sa.Engine:
-    """An engine for the database of the queue."""
+def database(settings: Settings, *, lone_queries: bool = False) -> sa.Engine:
+    """An engine for the database of the queue.
+
+    Args:
+        settings: Which database.
+        lone_queries: Spare Postgres the round trips that begin and end a transaction and ask first
+            whether the connection lives: they cost more than the query itself.
+    """
     url = sa.make_url(settings.system_database_url)
     if settings.on_postgres:
-        return sa.create_engine(
-            url.set(drivername="postgresql+psycopg"), pool_pre_ping=True, pool_size=CONNECTIONS
-        )
+        url = url.set(drivername="postgresql+psycopg")
+        if lone_queries:
+            return sa.create_engine(url, isolation_level="AUTOCOMMIT", pool_size=CONNECTIONS)
+        return sa.create_engine(url, pool_pre_ping=True, pool_size=CONNECTIONS)
     engine = sa.create_engine(
         url, connect_args={"timeout": 60, "check_same_thread": False}, pool_size=CONNECTIONS
     )

@@ -53,6 +53,12 @@ class Settings(BaseSettings):
     )
     inspect_memory_bytes: int = Field(2 * GIB, gt=0, description="Memory to parse a mesh [bytes].")
     inspect_cpu_seconds: int = Field(60, gt=0, description="CPU time to parse a mesh [s].")
+    export_memory_bytes: int = Field(
+        4 * GIB, gt=0, description="Memory to make a surface or an export [bytes]."
+    )
+    export_cpu_seconds: int = Field(
+        3600, gt=0, description="CPU time to make a surface or an export [s]."
+    )
     meshes_per_key: int = Field(1000, gt=0, description="Meshes that a key may keep.")
     queued_jobs_per_key: int = Field(1000, gt=0, description="Unfinished jobs that a key may have.")
     disk_bytes_per_key: int = Field(

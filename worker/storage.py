@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from morph_engine.durable import replacing, sync_directory
-from morph_engine.errors import MeshError
+from morph_engine.errors import MeshError, ResultError
 from worker.event_log import EventLog
 from worker.job import MeshShape, Shape
 
@@ -79,6 +79,30 @@ class Storage:
     def result_path(self, job_id: str) -> Path:
         """The result file of a job; its run directory lies beside it while it runs."""
         return self.job_dir(job_id) / "result.vtkhdf"
+
+    def derived_dir(self, job_id: str) -> Path:
+        """Where what is computed from a job's frames on request is kept, and goes with the job."""
+        return self.job_dir(job_id) / "derived"
+
+    def make_derived_dirs(self, job_id: str) -> None:
+        """Make the folders for it.
+
+        Raises:
+            ResultError: The job has been deleted.
+        """
+        try:
+            self.derived_dir(job_id).mkdir(exist_ok=True)
+            self.exports_dir(job_id).mkdir(exist_ok=True)
+        except FileNotFoundError:
+            raise ResultError("The job has been deleted meanwhile.", "Submit it again.") from None
+
+    def surface_path(self, job_id: str, frame: int) -> Path:
+        """The surface of a frame; it need not be there."""
+        return self.derived_dir(job_id) / f"surface-{frame:06d}.npz"
+
+    def exports_dir(self, job_id: str) -> Path:
+        """Where the exports of a job are kept."""
+        return self.derived_dir(job_id) / "exports"
 
     def events(self, job_id: str) -> EventLog:
         """The event log of a job."""

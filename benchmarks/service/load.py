@@ -188,29 +188,32 @@ def one_round(
     engines = [Engine(storage.events(job), process_of(supervisor, job)) for job in jobs]
     schedule = Schedule(time.time() + 2, turn)
     asked = {"url": str(api.base_url), "jobs": jobs, "bursts": schedule.bursts()}
-    load = psutil.Popen(
-        [sys.executable, "-m", "benchmarks.service.requests_and_watchers"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # as if on another machine: not in one group with this process
-    )
-    try:
-        json.dump(asked, load.stdin)
-        load.stdin.close()
-        processes = {"the API": process_of(supervisor, "api"), "the load": load}
-        before = {name: cpu_seconds(process) for name, process in processes.items()}
-        while all(alive(engine.process) for engine in engines):
-            follow(engines, schedule, seen)
-            time.sleep(LOOK_SECONDS)
-        phases = range(schedule.phase(time.time()) + 1)
-        loaded = PHASE_SECONDS * sum(map(schedule.loaded, phases))
-        for name, process in processes.items():
-            seen.shares[name].append((cpu_seconds(process) - before[name]) / loaded)
-    finally:
-        load.terminate()
-    seen.bursts += [Burst(**json.loads(line)) for line in load.stdout]
-    load.wait()
+    with (place.data_dir / f"load-{turn}.jsonl").open("w+") as output:
+        load = psutil.Popen(
+            [sys.executable, "-m", "benchmarks.service.requests_and_watchers"],
+            stdin=subprocess.PIPE,
+            stdout=output,  # a pipe that nobody reads would fill up and stop it
+            text=True,
+            start_new_session=True,  # as if on another machine: not in one group with this process
+        )
+        try:
+            json.dump(asked, load.stdin)
+            load.stdin.close()
+            processes = {"the API": process_of(supervisor, "api"), "the load": load}
+            before = {name: cpu_seconds(process) for name, process in processes.items()}
+            while all(alive(engine.process) for engine in engines):
+                follow(engines, schedule, seen)
+                time.sleep(LOOK_SECONDS)
+            phases = range(schedule.phase(time.time()) + 1)
+            loaded = PHASE_SECONDS * sum(map(schedule.loaded, phases))
+            for name, process in processes.items():
+                seen.shares[name].append((cpu_seconds(process) - before[name]) / loaded)
+        finally:
+            load.terminate()
+            load.wait()
+        output.seek(0)
+        lines = [line for line in output if line.endswith("\n")]  # the end may have cut the last
+        seen.bursts += [Burst(**json.loads(line)) for line in lines]
     for job in jobs:
         wait_until(partial(finished, api, job))
 

@@ -43,6 +43,18 @@ class GridMass:
         )  # fmt: skip
         return self.nodes
 
+    def pull_back(self, x: Any, slope: Any, x_bar: Any, weight: float = 1.0) -> None:
+        """Write weight * sum_i slope_i dM_i/dx_p at x [dx] to x_bar, both of shape [n, 3].
+
+        Args:
+            x: Positions [dx].
+            slope: Derivative by the node masses, shape [node_count].
+            x_bar: Where the gradient goes.
+            weight: Factor on it.
+        """
+        factor = weight * self.point_mass
+        _mass_to_grid_adjoint(x, slope, x_bar, self.point_count, factor, self.geometry)
+
     def rest_volumes(self, x: Any) -> NDArray[Any]:
         """Rest volumes of particles at x from the density they see [dx^3] (algorithm 1.3)."""
         volumes = backend.active().scalars(self.point_count)
@@ -87,8 +99,7 @@ class GridMassLoss:
 
     def gradient(self, x: Any, x_bar: Any, weight: float = 1.0) -> None:
         """Write weight * gradient at the x evaluated last to x_bar, shape [n, 3]."""
-        factor = weight * self._mass.point_mass
-        _mass_to_grid_adjoint(x, self._slope, x_bar, self._mass.point_count, factor, self._geometry)
+        self._mass.pull_back(x, self._slope, x_bar, weight)
 
 
 @ti.kernel

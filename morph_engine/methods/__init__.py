@@ -1,6 +1,7 @@
 """Methods: ways to move particles towards a target, one file each, behind one protocol.
 
-To add one, write a module with a subclass of `Method` and name the class in `_CLASSES`.
+To add one, write a module with a subclass of `Method` and name the class in `_CLASSES`; a program
+of your own registers its class with `register` instead.
 """
 
 from __future__ import annotations
@@ -17,16 +18,34 @@ from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 _CLASSES = {
     "joint": "morph_engine.methods.joint:Joint",
     "physics": "morph_engine.methods.physics:Physics",
+    "transport": "morph_engine.methods.transport:Transport",
     "dco": "morph_engine.methods.dco:Dco",
     "dcd": "morph_engine.methods.dcd:Dcd",
     "density_aware": "morph_engine.methods.density_aware:DensityAware",
     "shared_basis": "morph_engine.methods.shared_basis:SharedBasis",
+    "swd": "morph_engine.methods.swd:Swd",
+    "sinkhorn": "morph_engine.methods.sinkhorn:Sinkhorn",
 }
+
+
+_registered: dict[str, type[Method]] = {}
+
+
+def register(method: type[Method]) -> type[Method]:
+    """Make a method of another program known in this process; also as a decorator.
+
+    Raises:
+        ConfigError: Its name is taken.
+    """
+    if method.name in _CLASSES or _registered.get(method.name, method) is not method:
+        raise ConfigError(f"There is a method called {method.name!r}.", "Choose another name.")
+    _registered[method.name] = method
+    return method
 
 
 def names() -> tuple[str, ...]:
     """Names of all methods, the default first."""
-    return tuple(_CLASSES)
+    return (*_CLASSES, *_registered)
 
 
 def find(name: str) -> type[Method]:
@@ -35,11 +54,13 @@ def find(name: str) -> type[Method]:
     Raises:
         ConfigError: There is no such method.
     """
+    if name in _registered:
+        return _registered[name]
     if name not in _CLASSES:
-        near = difflib.get_close_matches(name, _CLASSES, 1, 0.0)[0]
+        near = difflib.get_close_matches(name, names(), 1, 0.0)[0]
         raise ConfigError(
             f"There is no method called {name!r}.",
-            f"Did you mean {near!r}? Methods are {', '.join(_CLASSES)}.",
+            f"Did you mean {near!r}? Methods are {', '.join(names())}.",
         )
     module, _, attribute = _CLASSES[name].partition(":")
     method: type[Method] = getattr(import_module(module), attribute)
@@ -65,4 +86,4 @@ def describe(name: str) -> str:
     return ""
 
 
-__all__ = ["FrameOutcome", "Method", "Problem", "describe", "find", "names"]
+__all__ = ["FrameOutcome", "Method", "Problem", "describe", "find", "names", "register"]

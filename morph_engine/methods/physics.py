@@ -8,18 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config import MorphConfig
 from morph_engine.control import FrameControl, FrameReport
 from morph_engine.losses.chamfer import ChamferLoss, Matches
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
+from morph_engine.methods.matter import cell_order, grid_geometry, make_simulation, particle_mass
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
-from morph_engine.mpm import step
-from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
-from morph_engine.mpm.kernel import Geometry
 from morph_engine.mpm.state import Particles
 from morph_engine.schedule import frame_weights
-
-MODELS = {"neo_hookean": NEO_HOOKEAN, "fixed_corotated": FIXED_COROTATED}
 
 
 class Physics(Method):
@@ -33,7 +28,7 @@ class Physics(Method):
         config = problem.config
         device = backend.active()
         n = len(problem.source)
-        mass = config.material.density * config.spacing**3
+        mass = particle_mass(config)
         geometry = grid_geometry(config)
         self._geometry = geometry
         self._mass = mass
@@ -44,21 +39,8 @@ class Physics(Method):
             if config.sampling.rest_volume == "density"
             else np.full(n, config.spacing**3, device.numpy_real)
         )
-        self._simulation = step.Simulation(
-            self._rest_volume,
-            geometry=geometry,
-            physics=step.Physics(
-                model=MODELS[config.material.model],
-                lame_lambda=config.material.lame_lambda,
-                lame_mu=config.material.lame_mu,
-                particle_mass=mass,
-                drag=config.material.drag,
-                dt=config.time.dt,
-            ),
-            transitions=config.time.transitions_per_frame,
-            domain=config.domain,
-            largest_cells_per_step=config.watchdog.cells_per_step,
-            adjoint=step.AdjointFlags(**config.adjoint.model_dump()),
+        self._simulation = make_simulation(
+            config, self._rest_volume, transitions=config.time.transitions_per_frame
         )
         self._matches = Matches(target, source)
         self._control = FrameControl(
@@ -77,7 +59,7 @@ class Physics(Method):
     def advance(self, frame: int) -> FrameOutcome:
         """Optimise the control of one frame and carry its last layer on (algorithm 6.4)."""
         simulation = self._simulation
-        order = self._cell_order()
+        order = cell_order(self._particles.x, self._geometry)
         simulation.volume.from_numpy(self._rest_volume[order])
         simulation.layers[0].upload(self._particles.permuted(order))
         self._matches.rebuild(simulation.layers[0].x)
@@ -107,13 +89,6 @@ class Physics(Method):
         """Take up a state that `state` returned."""
         self._particles = Particles(**state)
 
-    def _cell_order(self) -> NDArray[np.intp]:
-        """Particles by grid cell, z fastest: neighbours in space become neighbours in memory."""
-        g = self._geometry
-        cell = np.floor((self._particles.x - g.origin) / g.dx).astype(np.int64)
-        key = (cell[:, 0] * g.nodes + cell[:, 1]) * g.nodes + cell[:, 2]
-        return np.argsort(key, kind="stable")
-
     def _numbers(self, report: FrameReport) -> dict[str, float]:
         speed_squared = np.sum(self._particles.v.astype(np.float64) ** 2, axis=1)
         return {
@@ -130,12 +105,3 @@ class Physics(Method):
 def two_sided(forward: NDArray[np.float64], reverse: NDArray[np.float64]) -> float:
     """Root of the sum of both mean squared distances [dx] (algorithm 9)."""
     return float(np.sqrt(np.mean(forward**2) + np.mean(reverse**2)))
-
-
-def grid_geometry(config: MorphConfig) -> Geometry:
-    """The background grid of a configuration."""
-    return Geometry(
-        dx=config.grid.dx,
-        half_extent=config.grid.half_extent,
-        width=4 if config.grid.kernel == "cubic" else 3,
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,22 @@ from morph_engine import backend
 from morph_engine.amsgrad import AMSGrad
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import Matches
-from morph_engine.losses.matched_pairs import PairLoss
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 from morph_engine.neighbors import REACH
 
 
+class PointLoss(Protocol):
+    """What is descended."""
+
+    def value(self) -> float:
+        """The loss at the particles as they are."""
+
+    def gradient(self, x: Any, gradient: Any) -> None:
+        """Set `gradient` [n, 3] to that at particles x [dx], shape [n, 3], device arrays."""
+
+
 class PointOptimisation(Method):
-    """A loss over matched pairs, descended by AMSGrad; a frame is a fixed number of steps.
+    """A loss of the positions, descended by AMSGrad; a frame is a fixed number of steps.
 
     The optimiser's state is continuous over all frames. Nearest neighbours are exact and
     recomputed in every step.
@@ -71,8 +80,8 @@ class PointOptimisation(Method):
         self._matches.update(self._x)
 
     @abstractmethod
-    def _make_loss(self) -> PairLoss:
-        """The loss over the matched pairs."""
+    def _make_loss(self) -> PointLoss:
+        """The loss that is descended."""
 
     def _make_optimizer(self) -> AMSGrad:
         """The optimiser of the variables, which are the positions."""

@@ -11,6 +11,7 @@ import pytest
 from morph_engine import backend
 from morph_engine.losses.grid_mass import GridMass
 from morph_engine.methods import Problem
+from morph_engine.methods.matter import cell_order
 from morph_engine.methods.physics import Physics
 from morph_engine.morphing import prepare
 from morph_engine.presets import configure
@@ -48,7 +49,7 @@ def test_first_control_steps(start: Physics) -> None:
     The reference values carry five to six digits; float32 and the order of sums change the sixth.
     """
     simulation, control = start._simulation, start._control
-    order = start._cell_order()
+    order = cell_order(start._particles.x, start._geometry)
     simulation.volume.from_numpy(start._rest_volume[order])
     simulation.layers[0].upload(start._particles.permuted(order))
     weights = frame_weights(start.problem.config, 0, with_chamfer=False)

@@ -4,13 +4,16 @@ import pytest
 
 from morph_engine import methods
 from morph_engine.errors import ConfigError, MeshError
+from reproduction.beyond import BEYOND
 from reproduction.catalogue import SUBJECTS, choose, cpu_seconds_of, runs_of
 from reproduction.experiments import EXPERIMENTS, NATIVE, SPHERE
 from reproduction.meshes import ASSETS, MeshFolder
 from reproduction.printed import CLAIMS, PAPER, PROGRAM
 from reproduction.verdicts import _VERDICTS
 
-ALL_RUNS = [run for experiment in EXPERIMENTS.values() for run in experiment.runs]
+ALL_RUNS = [
+    run for experiment in (*EXPERIMENTS.values(), *BEYOND.values()) for run in experiment.runs
+]
 
 
 def test_an_id_is_one_run_in_all_tables():
@@ -39,7 +42,7 @@ def test_numbers_of_the_published_program_belong_to_runs():
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_run_has_a_valid_configuration(quick):
     """Methods, presets and settings exist, and quick runs are of their own."""
-    for run in runs_of(choose(["all", "trial"], quick=quick)):
+    for run in runs_of(choose(["all", "trial", *BEYOND], quick=quick)):
         config = run.config()
         assert config.method == run.method in methods.names()
         assert config.sampling.fit == "none" and config.sampling.lattice == "published"
@@ -108,7 +111,7 @@ def test_an_unknown_table_names_a_near_one():
 
 def test_every_experiment_has_a_verdict():
     """None goes without a sentence on what its numbers show."""
-    assert _VERDICTS.keys() == EXPERIMENTS.keys()
+    assert _VERDICTS.keys() == EXPERIMENTS.keys() | BEYOND.keys()
 
 
 def test_missing_meshes_are_named_with_their_origins(tmp_path):

@@ -16,6 +16,7 @@ from morph_engine.trajectory import Trajectory, write_result
 N, T = 500, 4
 GENERATOR = np.random.default_rng(11)
 POSITIONS = GENERATOR.normal(size=(T, N, 3)).astype(np.float32)
+DET_F = GENERATOR.uniform(0.5, 2, size=(T, N)).astype(np.float32)
 TARGET = GENERATOR.normal(size=(300, 3)).astype(np.float32)
 CLOUD = GENERATOR.normal(size=(200, 3))
 METRICS = [{"s2t": 1 / (t + 3), "det_f_min": -1e-40 * t} for t in range(T)]
@@ -36,11 +37,11 @@ RUN = RunRecord(
 )
 
 
-def write(path, *, frame_count=T, status="complete"):
+def write(path, *, frame_count=T, status="complete", det_f=DET_F):
     """A result file of some frames."""
     with Spool.create(path, RUN, replace=True) as spool:
         for t in range(frame_count):
-            spool.append(t, POSITIONS[t], METRICS[t], EVENTS if t == 1 else [])
+            spool.append(t, POSITIONS[t], METRICS[t], EVENTS if t == 1 else [], det_f[t])
         write_result(spool, status=status)
         spool.remove()
     return path
@@ -62,7 +63,7 @@ def vtk_reader(path):
 
 
 def test_vtk_reads_every_step(result):
-    """VTK shows the points of each frame bit for bit, a vertex each, and its metrics."""
+    """VTK shows the points of each frame bit for bit, a vertex each, det F and the metrics."""
     reader = vtk_reader(result)
     assert reader.GetNumberOfSteps() == T
     times = reader.GetOutputInformation(0).Get(vtkStreamingDemandDrivenPipeline.TIME_STEPS())
@@ -73,6 +74,8 @@ def test_vtk_reads_every_step(result):
         cloud = reader.GetOutput()
         assert cloud.IsA("vtkPolyData")
         np.testing.assert_array_equal(vtk_to_numpy(cloud.GetPoints().GetData()), POSITIONS[t])
+        shown = vtk_to_numpy(cloud.GetPointData().GetArray("det_f"))
+        np.testing.assert_array_equal(shown, DET_F[t], strict=True)
         verts = cloud.GetVerts()
         np.testing.assert_array_equal(vtk_to_numpy(verts.GetConnectivityArray()), np.arange(N))
         np.testing.assert_array_equal(vtk_to_numpy(verts.GetOffsetsArray()), np.arange(N + 1))
@@ -107,6 +110,7 @@ def test_reader_gives_back_all(result):
         np.testing.assert_array_equal(trajectory.times, np.arange(T))
         np.testing.assert_array_equal(np.stack(list(trajectory)), POSITIONS, strict=True)
         np.testing.assert_array_equal(trajectory.positions(-1), POSITIONS[-1])
+        np.testing.assert_array_equal(trajectory.det_f(-1), DET_F[-1], strict=True)
         assert [trajectory.metrics_at(t) for t in range(T)] == METRICS
         np.testing.assert_array_equal(
             trajectory.metrics["hausdorff"], [np.nan, np.nan, 0.7, np.nan]
@@ -123,6 +127,17 @@ def test_reader_gives_back_all(result):
         np.testing.assert_allclose(
             trajectory.positions_in_user_units(2), 2.0 * POSITIONS[2] + [5, 6, 7], rtol=1e-14
         )
+
+
+def test_result_without_det_f(tmp_path):
+    """A method that deforms nothing stores no det F; VTK and we read the rest."""
+    path = write(tmp_path / "r.vtkhdf", det_f=[None] * T)
+    reader = vtk_reader(path)
+    reader.Update()
+    assert reader.GetOutput().GetPointData().GetNumberOfArrays() == 0
+    with Trajectory.open(path) as trajectory:
+        assert trajectory.det_f(0) is None
+        np.testing.assert_array_equal(trajectory.positions(0), POSITIONS[0])
 
 
 def test_partial_result_and_continued_run_agree(tmp_path):
@@ -148,6 +163,19 @@ def test_flipped_bit_costs_one_frame(result, tmp_path):
             trajectory.positions(2)
         for t in (0, 1, 3):
             np.testing.assert_array_equal(trajectory.positions(t), POSITIONS[t])
+
+
+def test_flipped_bit_in_det_f_is_noticed(result, tmp_path):
+    """det F has a checksum of its own; the positions of that frame still read."""
+    data = bytearray(result.read_bytes())
+    data[data.index(DET_F[2].tobytes()) + 1000] ^= 4
+    damaged = tmp_path / "damaged.vtkhdf"
+    damaged.write_bytes(data)
+    with Trajectory.open(damaged) as trajectory:
+        with pytest.raises(ResultError, match="det F of frame 2"):
+            trajectory.det_f(2)
+        np.testing.assert_array_equal(trajectory.det_f(1), DET_F[1])
+        np.testing.assert_array_equal(trajectory.positions(2), POSITIONS[2])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.999])

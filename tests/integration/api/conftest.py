@@ -12,8 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 
+from morph_engine import configure
+from morph_engine.morphing import prepare
+from morph_engine.run_record import RunRecord
+from morph_engine.spool import Spool
+from morph_engine.trajectory import write_result
 from server.answering import ApiServer
 from server.listening import address, listen
 from server.service import Service
@@ -24,6 +30,7 @@ f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\
 f 4 1 5\nf 4 5 8
 """
 MORPH = {"source": {"shape": "sphere"}, "target": {"shape": "star"}, "frames": 3}
+COARSE = {"sampling.points_per_cell_edge": 2}
 
 
 @dataclass
@@ -47,9 +54,33 @@ class Api:
         job: dict[str, Any] = answer.json()
         return job
 
+    def running(self, run: RunRecord) -> str:
+        """A job with two frames: the source moved by 1 and by 3 grid units along x."""
+        job: str = self.submit(overrides=COARSE)["id"]
+        result = self.service.storage.result_path(job)
+        result.parent.mkdir()
+        with Spool.create(result, run) as spool:
+            for index, moved in enumerate((1, 3)):
+                spool.append(index, run.source_points + np.float32([moved, 0, 0]), {"s2t": moved})
+        return job
+
+    def finished(self, run: RunRecord) -> str:
+        """The same, cancelled after its second frame."""
+        job = self.running(run)
+        assert self.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
+        with Spool.open(self.service.storage.result_path(job), writable=False) as spool:
+            write_result(spool, status="partial")
+        return job
+
     def uploads(self) -> list[Path]:
         """Files of uploads that are still lying about."""
         return [path for path in self.service.storage.uploads.iterdir() if path.name[0] != "."]
+
+
+@pytest.fixture(scope="session")
+def run() -> RunRecord:
+    """Sphere to star with few particles."""
+    return prepare("sphere", "star", configure("fast", COARSE | {"frames": 3}))
 
 
 @contextmanager

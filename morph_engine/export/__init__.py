@@ -1,0 +1,178 @@
+"""Export: frames of a result in the formats of other programs, one file each.
+
+To add a format, write a module with a `FORMAT` and name it in `_ALL`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from morph_engine.durable import replacing
+from morph_engine.errors import ConfigError, ResultError
+from morph_engine.export import csv, film, glb, npz, obj, ply, stl, usd
+from morph_engine.export.archive import write_archive, write_folder
+from morph_engine.export.format import Format
+from morph_engine.fields import find as find_field
+from morph_engine.selection import Selection, Units
+from morph_engine.trajectory import Trajectory
+
+__all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
+
+_ALL = (ply.FORMAT, obj.FORMAT, glb.FORMAT, stl.FORMAT, usd.FORMAT, npz.FORMAT, csv.FORMAT)
+
+FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, film.MP4, film.GIF)}
+
+
+def find(name: str) -> Format:
+    """A format by its name.
+
+    Raises:
+        ConfigError: There is no such format.
+    """
+    if name not in FORMATS:
+        near = difflib.get_close_matches(name, FORMATS, 1, 0.0)[0]
+        raise ConfigError(
+            f"There is no export format called {name!r}.",
+            f"Did you mean {near!r}? Formats are {', '.join(FORMATS)}.",
+        )
+    return FORMATS[name]
+
+
+def suffix(format: str, frames: Sequence[int] | None) -> str:
+    """The ending of an export's file name.
+
+    Args:
+        format: Name of the format.
+        frames: The frames asked for; None for all.
+
+    Returns:
+        The format's own suffix, or ``.zip`` where several frames take a file each.
+
+    Raises:
+        ConfigError: There is no such format.
+    """
+    chosen = find(format)
+    several = frames is None or len(frames) != 1
+    return ".zip" if chosen.kind == "frame" and several else chosen.suffix
+
+
+def export(
+    result: Path | str | Trajectory,
+    path: Path | str,
+    format: str,
+    *,
+    frames: Sequence[int] | None = None,
+    surface: bool = False,
+    units: Units = "user",
+    fields: Sequence[str] = (),
+    watch: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Write frames of a result to a file, which is there as a whole or not at all.
+
+    A format of kind ``frame`` holds one frame in a file. Of several frames it makes a zip archive
+    where the path ends in ``.zip``, and else a folder.
+
+    Args:
+        result: A result file, or one that is open.
+        path: The file or folder to write.
+        format: Name of a format, see `FORMATS`.
+        frames: Indices of the frames, negative from the end; None means all, and the last one
+            where the path names a file for one frame.
+        surface: A surface around the particles in place of the particles.
+        units: ``user`` for the coordinates of the user's own files, ``grid`` for grid units.
+        fields: Names of fields to carry along, see `morph_engine.fields.FIELDS`. A surface takes
+            them from the particle nearest to each of its vertices.
+        watch: Called with the number of frames written and to be written.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: There is no such format or field, or the format cannot hold what is asked for.
+        ExtraError: The format needs a package that is not installed.
+        ResultError: The result is damaged, has no such frame or field, or the disk refuses.
+        MeshError: The particles of a frame enclose nothing.
+    """
+    chosen, path = find(format), Path(path)
+    check(format, surface=surface, fields=fields)
+    if isinstance(result, (str, Path)):
+        with Trajectory(result) as trajectory:
+            return export(
+                trajectory,
+                path,
+                format,
+                frames=frames,
+                surface=surface,
+                units=units,
+                fields=fields,
+                watch=watch,
+            )
+    single = chosen.kind == "frame" and path.suffix == chosen.suffix
+    selection = Selection(
+        result,
+        _indices(result, frames, only_last=single),
+        surface=surface,
+        units=units,
+        fields=tuple(fields),
+        watch=watch,
+    )
+    if single and len(selection.frames) > 1:
+        raise ConfigError(
+            f"A {chosen.suffix} file holds one frame, and {len(selection.frames)} are asked for.",
+            "Name a file that ends in .zip, or a folder.",
+        )
+    try:
+        _write(chosen, selection, path)
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write {path} ({error.strerror or error}).",
+            "Free some disk space, or choose another place.",
+        ) from error
+    return path
+
+
+def _write(chosen: Format, selection: Selection, path: Path) -> None:
+    if chosen.kind == "frame" and path.suffix not in (chosen.suffix, ".zip"):
+        return write_folder(chosen, selection, path)
+    with replacing(path) as temporary:
+        if chosen.kind == "frame" and path.suffix == ".zip":
+            write_archive(chosen, selection, temporary)
+        else:
+            chosen.write(selection, temporary)
+
+
+def check(format: str, *, surface: bool = False, fields: Sequence[str] = ()) -> None:
+    """Refuse what a format cannot hold, before anything is computed.
+
+    Raises:
+        ConfigError: There is no such format or field, or the format cannot hold it.
+    """
+    chosen = find(format)
+    for name in fields:
+        find_field(name)
+    wanted = ({"surface"} if surface else {"points"}) | ({"fields"} if fields else set())
+    if chosen.kind == "table" or wanted <= chosen.carries:
+        return
+    if chosen.carries == {"surface"}:
+        raise ConfigError(
+            f"{chosen.name} holds surfaces only.", "Ask for a surface, or use another format."
+        )
+    lacking = sorted(wanted - chosen.carries)[0]
+    able = [name for name, known in FORMATS.items() if wanted <= known.carries]
+    raise ConfigError(
+        f"{chosen.name} holds no {lacking}.", f"Formats that do are {', '.join(able)}."
+    )
+
+
+def _indices(
+    trajectory: Trajectory, frames: Sequence[int] | None, *, only_last: bool
+) -> tuple[int, ...]:
+    if not trajectory.frame_count:
+        raise ResultError(f"{trajectory.path} has no frames.", "Resume the run first.")
+    if frames is None:
+        return tuple(range(trajectory.frame_count))[-1 if only_last else 0 :]
+    if not frames:
+        raise ConfigError("No frame is asked for.", "Name at least one.")
+    return tuple(dict.fromkeys(trajectory.index(frame) for frame in frames))

@@ -1,0 +1,38 @@
+"""What a format is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from morph_engine.selection import Selection
+
+Kind = Literal["frame", "sequence", "table"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way to write frames of a result.
+
+    Attributes:
+        name: Its name.
+        suffix: Ending of its files, with the dot.
+        media_type: For HTTP.
+        kind: ``frame`` for one frame in a file, ``sequence`` for many, ``table`` for numbers
+            without geometry.
+        carries: What its files can hold: ``points``, ``surface`` and ``fields``.
+        extra: The extra of this package that it needs, if any.
+        description: What it is, and which programs open it.
+        write: Writes a selection to a file. Of kind ``frame``, the selection has one frame.
+    """
+
+    name: str
+    suffix: str
+    media_type: str
+    kind: Kind
+    carries: frozenset[str]
+    extra: str | None
+    description: str
+    write: Callable[[Selection, Path], Any] = field(repr=False, compare=False)

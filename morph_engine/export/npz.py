@@ -1,0 +1,47 @@
+"""NPZ: all numbers of the frames as NumPy arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from morph_engine.export.format import Format
+from morph_engine.selection import Selection
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write the frames; arguments as for `Format.write`.
+
+    ``positions`` [T, n, 3], ``frames`` [T], each field [T, n], ``source`` [n, 3], ``target``
+    [m, 3], ``transform`` [4, 4] from grid units to those of the positions.
+    """
+    snapshots = list(selection.snapshots())
+    fields = {
+        name: np.stack([snapshot.fields[name] for snapshot in snapshots])
+        for name in selection.fields
+    }
+    trajectory = selection.trajectory
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            positions=np.stack([snapshot.vertices for snapshot in snapshots]),
+            frames=np.array(selection.frames),
+            source=selection.placed(trajectory.run.source_points),
+            target=selection.placed(trajectory.target_points),
+            transform=selection.transform,
+            **fields,
+        )
+
+
+FORMAT = Format(
+    name="npz",
+    suffix=".npz",
+    media_type="application/octet-stream",
+    kind="sequence",
+    carries=frozenset({"points", "fields"}),
+    extra=None,
+    description="All frames and fields as arrays; numpy.load",
+    write=write,
+)

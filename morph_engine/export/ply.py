@@ -1,0 +1,51 @@
+"""PLY: points or triangles with numbers at each, in binary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from morph_engine.export.format import Format
+from morph_engine.selection import Selection
+
+
+def write(selection: Selection, path: Path) -> None:
+    """Write one frame; arguments as for `Format.write`."""
+    (snapshot,) = selection.snapshots()
+    kinds = [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in snapshot.fields]
+    vertices = np.zeros(len(snapshot.vertices), kinds)
+    for axis, column in zip("xyz", snapshot.vertices.T, strict=True):
+        vertices[axis] = column
+    for name, values in snapshot.fields.items():
+        vertices[name] = values
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment frame {snapshot.frame}, {selection.units} units",
+        f"element vertex {len(vertices)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        *(f"property float {name}" for name in snapshot.fields),
+    ]
+    faces = np.zeros(
+        0 if snapshot.faces is None else len(snapshot.faces), [("n", "u1"), ("v", "<i4", 3)]
+    )
+    if snapshot.faces is not None:
+        faces["n"], faces["v"] = 3, snapshot.faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    with path.open("wb") as file:
+        file.write("\n".join([*header, "end_header", ""]).encode())
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
+
+
+FORMAT = Format(
+    name="ply",
+    suffix=".ply",
+    media_type="application/octet-stream",
+    kind="frame",
+    carries=frozenset({"points", "surface", "fields"}),
+    extra=None,
+    description="Points or a surface with field values; Blender, MeshLab, CloudCompare, ParaView",
+    write=write,
+)

@@ -1,0 +1,54 @@
+"""Colours of field values."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+
+SEQUENTIAL = "viridis"
+DIVERGING = "coolwarm"
+UNKNOWN = 0.6
+"""Grey of a value that is not finite."""
+
+
+def limits(values: npt.ArrayLike, *, diverging: bool = False) -> tuple[float, float]:
+    """The range that shows most of some values: their 1 and 99 % quantiles.
+
+    Args:
+        values: Any shape.
+        diverging: Make the range symmetric about 1.
+
+    Returns:
+        Low and high, 0 and 1 where no value is finite; low < high.
+    """
+    array = np.asarray(values, np.float64)
+    finite = array[np.isfinite(array)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = (float(value) for value in np.quantile(finite, [0.01, 0.99]))
+    if diverging:
+        reach = max(abs(low - 1), abs(high - 1))
+        low, high = 1 - reach, 1 + reach
+    return (low, high) if low < high else (low, low + 1)
+
+
+def colors(
+    values: npt.ArrayLike, low: float, high: float, *, palette: str = SEQUENTIAL
+) -> npt.NDArray[np.float64]:
+    """Colour values by a palette.
+
+    Args:
+        values: Shape [n].
+        low: Value of the palette's first colour.
+        high: Value of its last.
+        palette: A colour map of Matplotlib.
+
+    Returns:
+        RGB, shape [n, 3], float64, 0 to 1; grey where a value is not finite.
+    """
+    array = np.asarray(values, np.float64)
+    share = np.clip((array - low) / (high - low), 0, 1)
+    rgb = np.asarray(matplotlib.colormaps[palette](np.nan_to_num(share)))[:, :3]
+    rgb[~np.isfinite(array)] = UNKNOWN
+    return rgb

@@ -1,0 +1,224 @@
+"""Spheres and triangles drawn with NumPy alone: no GPU, no display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter
+
+Floats = npt.NDArray[np.float32]
+
+LIGHT = np.array([-0.4, 0.6, 0.7], np.float32) / np.float32(np.linalg.norm([-0.4, 0.6, 0.7]))
+AMBIENT = 0.45
+TILES_PER_RADIUS = 2
+HOLLOW_PIXELS = 8
+"""Blur of the depth, in pixels of the coarse picture that finds hollows."""
+
+
+FLIP = np.array([1, -1, 1], np.float32)
+"""Rows grow downwards."""
+
+HALF = np.float32(0.5)
+LEAST_AREA = 1e-9
+
+Fragments = tuple[npt.NDArray[np.integer], Floats, npt.NDArray[np.intp]]
+
+
+class Canvas:
+    """A picture in the making: what is nearest at each pixel, its normal and its colour.
+
+    Coordinates are pixels: x to the right, y upwards, z to the eye, 0 at the picture's centre.
+
+    Args:
+        width: Width [pixels].
+        height: Height [pixels].
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._width, self._height = width, height
+        self._middle = np.array([width / 2, height / 2, 0], np.float32)
+        self._depth = np.full(width * height, -np.inf, np.float32)
+        self._normal = np.zeros((width * height, 3), np.float32)
+        self._color = np.zeros((width * height, 3), np.float32)
+
+    @property
+    def covered(self) -> npt.NDArray[np.bool_]:
+        """Which pixels show something, shape [height, width]."""
+        return np.isfinite(self._depth).reshape(self._height, self._width)
+
+    def spheres(self, centres: Floats, radius: float, colors: Floats) -> None:
+        """Draw spheres of one size.
+
+        Args:
+            centres: Positions [pixels], shape [n, 3], float32.
+            radius: Their radius [pixels].
+            colors: RGB, shape [n, 3], 0 to 1, float32.
+        """
+        in_sight = self._in_sight(centres, radius)
+        centres, colors = centres[in_sight], colors[in_sight]
+        nearest_last = np.argsort(centres[:, 2])  # the last to be drawn on a pixel stays
+        colors = colors[nearest_last]
+        column, row, z = (centres[nearest_last] * FLIP + self._middle).T
+        left, top = np.floor(column).astype(np.int32), np.floor(row).astype(np.int32)
+        aside, below = left + HALF - column, top + HALF - row
+        reach = int(np.ceil(radius))
+        window = range(-reach, reach + 1)
+
+        def fragments() -> Iterator[Fragments]:
+            # from the middle outwards, so that most of what is hidden is soon known to be
+            for dx, dy in sorted(product(window, window), key=lambda d: d[0] ** 2 + d[1] ** 2):
+                bulge = radius**2 - (aside + dx) ** 2 - (below + dy) ** 2
+                shown = np.flatnonzero(
+                    (bulge > 0)
+                    & (left >= -dx)
+                    & (left < self._width - dx)
+                    & (top >= -dy)
+                    & (top < self._height - dy)
+                )
+                pixel = (top[shown] + dy) * self._width + left[shown] + dx
+                yield pixel, z[shown] + np.sqrt(bulge[shown]), shown
+
+        pixel, owner = self._nearest(fragments())
+        x, y = pixel % self._width + HALF - column[owner], row[owner] - pixel // self._width - HALF
+        rise = np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0))
+        self._normal[pixel] = np.column_stack([x, y, rise]) / radius
+        self._color[pixel] = colors[owner]
+
+    def triangles(
+        self, corners: Floats, normals: Floats, colors: Floats, faces: npt.NDArray[np.int32]
+    ) -> None:
+        """Draw the triangles that face the eye, smoothly shaded.
+
+        Args:
+            corners: Positions [pixels], shape [v, 3], float32.
+            normals: Unit normals at the corners, shape [v, 3], float32.
+            colors: RGB at the corners, shape [v, 3], 0 to 1, float32.
+            faces: Indices of the corners, counter-clockwise seen from outside, shape [f, 3].
+        """
+        place = corners * FLIP + self._middle
+        a, b, c = (place[faces[:, k], :2] for k in range(3))
+        # rows grow downwards, which turns the winding over
+        front = np.flatnonzero(_cross(b - a, c - a) < -LEAST_AREA)
+        faces = faces[front[np.argsort(place[faces[front], 2].max(axis=1))]]
+        a, b, c = (place[faces[:, k], :2] for k in range(3))
+        limit = np.array([self._width, self._height], np.int32) - 1
+        first = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int32).clip(0)
+        last = np.floor(np.maximum(np.maximum(a, b), c)).astype(np.int32).clip(-1, limit)
+        size = last - first + 1
+        columns, rows = (int(extent) for extent in size.max(axis=0, initial=0))
+
+        def shares(face: npt.NDArray[np.intp], point: Floats) -> Floats:
+            """Barycentric coordinates."""
+            to_a, to_b, to_c = a[face] - point, b[face] - point, c[face] - point
+            parts = [_cross(to_b, to_c), _cross(to_c, to_a), _cross(to_a, to_b)]
+            share: Floats = np.stack(parts, axis=1)
+            share /= share.sum(axis=1, keepdims=True)
+            return share
+
+        def fragments() -> Iterator[Fragments]:
+            for dx, dy in product(range(columns), range(rows)):
+                near = np.flatnonzero((size[:, 0] > dx) & (size[:, 1] > dy))
+                place_of = first[near] + np.array([dx, dy], np.int32)
+                share = shares(near, place_of + HALF)
+                within = (share >= 0).all(axis=1)
+                shown, place_of = near[within], place_of[within]
+                height = np.einsum("fk,fk->f", share[within], place[faces[shown], 2])
+                yield place_of[:, 1] * self._width + place_of[:, 0], height, shown
+
+        pixel, owner = self._nearest(fragments())
+        point = np.stack([pixel % self._width, pixel // self._width], axis=1).astype(np.float32)
+        share = shares(owner, point + HALF)
+        normal = np.einsum("fk,fki->fi", share, normals[faces[owner]])
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        self._normal[pixel] = normal / np.maximum(length, LEAST_AREA)
+        self._color[pixel] = np.einsum("fk,fki->fi", share, colors[faces[owner]])
+
+    def lit(self, scale: float) -> Floats:
+        """The picture under one light, darker in hollows.
+
+        Args:
+            scale: Pixels in a length over which hollows are looked for.
+
+        Returns:
+            RGB, shape [height, width, 3], 0 to 1, float32; black where nothing is.
+        """
+        facing = np.clip(self._normal @ LIGHT, 0, 1)
+        light = (AMBIENT + (1 - AMBIENT) * facing).reshape(self._height, self._width)
+        shade = light * self._openness(scale)
+        color = self._color.reshape(self._height, self._width, 3)
+        lit: Floats = np.minimum(color * shade[..., None], np.float32(1))
+        return lit
+
+    def _nearest(
+        self, fragments: Iterable[Fragments]
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Put fragments on the pixels where nothing nearer is; of several the last stays.
+
+        Args:
+            fragments: Pixels, heights and the indices of what they belong to.
+
+        Returns:
+            The pixels that show something of it, and the indices of what.
+        """
+        owner = np.full(len(self._depth), -1, np.int32)
+        for pixel, z, index in fragments:
+            seen = np.flatnonzero(z > self._depth[pixel])
+            pixel = pixel[seen]
+            self._depth[pixel] = z[seen]
+            owner[pixel] = index[seen]
+        covered = np.flatnonzero(owner >= 0)
+        return covered, owner[covered].astype(np.intp)
+
+    def _in_sight(self, centres: Floats, radius: float) -> npt.NDArray[np.intp]:
+        """Spheres that may show; those left out lie behind others, as most of a fill does.
+
+        A tile that a sphere covers wholly hides what lies behind the sphere's centre; a sphere is
+        hidden where all tiles that it may touch hide it.
+        """
+        tile = radius / TILES_PER_RADIUS
+        touched = TILES_PER_RADIUS + 1
+        columns, rows = (int(extent / tile) + 2 for extent in (self._width, self._height))
+        across = (self._width / 2 + centres[:, 0]) / tile
+        down = (self._height / 2 - centres[:, 1]) / tile
+        inside = (across >= 0) & (across < columns) & (down >= 0) & (down < rows)
+        column, row = (np.floor(place).astype(np.intp) for place in (across, down))
+        hiding = np.full((rows, columns), -np.inf, np.float32)
+        window = range(-TILES_PER_RADIUS, TILES_PER_RADIUS + 1)
+        for dx, dy in product(window, window):
+            x, y = column + dx, row + dy
+            far = [
+                np.maximum(np.abs(here - place), np.abs(here + 1 - place))
+                for here, place in ((x, across), (y, down))
+            ]
+            covers = far[0] ** 2 + far[1] ** 2 < TILES_PER_RADIUS**2
+            covers &= (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+            np.maximum.at(hiding, (y[covers], x[covers]), centres[covers, 2])
+        least = minimum_filter(hiding, 2 * touched + 1, mode="nearest")
+        shown = ~inside
+        shown[inside] = centres[inside, 2] + radius >= least[row[inside], column[inside]]
+        return np.flatnonzero(shown)
+
+    def _openness(self, scale: float) -> Floats:
+        """Over 1 where a pixel stands out from those around it, below 1 in a hollow."""
+        coarse = max(1, int(scale / HOLLOW_PIXELS))
+        depth = self._depth.reshape(self._height, self._width)
+        sparse = depth[::coarse, ::coarse]
+        hit = np.isfinite(sparse)
+        weight = gaussian_filter(hit.astype(np.float32), scale / coarse)
+        around = gaussian_filter(np.where(hit, sparse, np.float32(0)), scale / coarse)
+        around = around / np.maximum(weight, np.float32(1e-6))
+        around = np.repeat(np.repeat(around, coarse, axis=0), coarse, axis=1)
+        if coarse > 1:
+            around = uniform_filter(around, coarse)
+        height = np.where(np.isfinite(depth), depth, np.float32(0))
+        apart = (height - around[: self._height, : self._width]) / np.float32(scale)
+        openness: Floats = np.clip(1 + 0.35 * apart, 0.45, 1.25).astype(np.float32)
+        return openness
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    cross: Floats = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return cross

@@ -1,0 +1,78 @@
+"""What the tables past the paper show, in sentences made of their own numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from statistics import median
+
+from reproduction.tables import Table
+
+Bound = tuple[str, str, Callable[[float], bool]]
+
+BOUNDS: tuple[Bound, ...] = (
+    ("iou", "a volume overlap below .95", lambda value: value < 0.95),
+    ("rho_p05", "a 5 % quantile of the density below .70", lambda value: value < 0.70),
+    ("rho_p95", "a 95 % quantile above 1.45", lambda value: value > 1.45),
+    ("rho_p99", "a 99 % quantile above 2", lambda value: value > 2.0),
+    ("hausdorff", "a Hausdorff distance above .9", lambda value: value > 0.9),
+    ("overlap_h10", "particles closer than .1 h to another", lambda value: value > 0),
+)
+"""What a full and even morph keeps to."""
+
+
+def transport(table: Table) -> list[str]:
+    """Transport against joint, pair by pair, and against the bounds of a full, even morph."""
+    pairs = dict.fromkeys(line.row.group for line in table.lines)
+    ratios, f1 = {}, {}
+    for pair in pairs:
+        ours, joint = (
+            table.ours(f"{pair}, {name}", "two_sided") for name in ("transport", "joint")
+        )
+        if ours is not None and joint:
+            ratios[pair] = ours / joint
+        ours, joint = (table.ours(f"{pair}, {name}", "f1") for name in ("transport", "joint"))
+        if ours is not None and joint is not None:
+            f1[pair] = ours - joint
+    sentences = []
+    if ratios:
+        worst = max(ratios, key=lambda pair: ratios[pair])
+        sentences.append(
+            f"Two-sided distance in parts of joint's: median {median(ratios.values()):.2f}, "
+            f"at most {ratios[worst]:.2f} ({worst}), over {len(ratios)} pairs."
+        )
+    if f1:
+        worst = min(f1, key=lambda pair: f1[pair])
+        sentences.append(f"F1 is {f1[worst]:+.3f} of joint's at the least ({worst}).")
+    labels = [line.row.label for line in table.lines if line.row.label.endswith(", transport")]
+    return [*sentences, *_within(table, labels)]
+
+
+def bounds(table: Table) -> list[str]:
+    """Every row against the bounds of a full, even morph."""
+    return _within(table, [line.row.label for line in table.lines])
+
+
+def objectives(table: Table) -> list[str]:
+    """Who collapses."""
+    shares = [
+        f"{line.row.label} {value:.1%}"
+        for line in table.lines
+        if (value := table.ours(line.row.label, "overlap_h10")) is not None
+    ]
+    return [f"Particles closer than .1 h to another: {'; '.join(shares)}."] if shares else []
+
+
+def _within(table: Table, labels: Sequence[str]) -> list[str]:
+    """Which rows are beyond a bound, or that none is."""
+    beyond = []
+    for metric, words, is_beyond in BOUNDS:
+        rows = [
+            f"{label} ({value:.3f})"
+            for label in labels
+            if (value := table.ours(label, metric)) is not None and is_beyond(value)
+        ]
+        if rows:
+            beyond.append(f"{words}: {', '.join(rows)}")
+    if not labels or all(table.ours(label, "iou") is None for label in labels):
+        return []
+    return ["There is " + "; ".join(beyond) + "."] if beyond else ["No row is beyond any bound."]

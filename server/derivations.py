@@ -1,0 +1,64 @@
+"""Files computed on request: each of them once, however many ask for it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import anyio
+from starlette.requests import Request
+
+from server.children import Children, Meet
+
+
+class Derivations:
+    """Files on their way.
+
+    Args:
+        limit: How many are computed at the same time.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._children = Children(limit)
+        self._tasks: dict[Path, asyncio.Task[None]] = {}
+        self._askers: dict[Path, list[Request]] = {}
+
+    async def make(self, path: Path, compute: Callable[[Meet], None], request: Request) -> None:
+        """Have a file computed unless it is there.
+
+        What nobody waits for any more when its turn comes is not computed.
+
+        Args:
+            path: The file.
+            compute: Computes it, in a child process.
+            request: Who asks for it.
+
+        Raises:
+            ProblemError: 503, the service stops.
+            MorphError: As `compute` raises it.
+        """
+        if await anyio.Path(path).exists():
+            return
+        if path not in self._tasks:
+            self._tasks[path] = asyncio.create_task(self._make(path, compute))
+        self._askers.setdefault(path, []).append(request)
+        await asyncio.shield(self._tasks[path])
+
+    def close(self) -> None:
+        """End all computations."""
+        self._children.close()
+
+    async def _make(self, path: Path, compute: Callable[[Meet], None]) -> None:
+        try:
+            await self._children.run(compute, lambda: self._is_wanted(path))
+        finally:
+            del self._tasks[path]
+            self._askers.pop(path, None)
+
+    async def _is_wanted(self, path: Path) -> bool:
+        for request in self._askers.get(path, ()):
+            # the first look may only find the end of the request itself
+            if not (await request.is_disconnected() or await request.is_disconnected()):
+                return True
+        return False

@@ -1,0 +1,125 @@
+"""/v1/jobs/{id}/source and /target: the points and meshes that a morph leads from and to."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request, Response
+
+from server import job_view, points
+from server.access import Reader
+from server.keyring import Caller
+from server.meshes import matches
+from server.problems import ProblemError
+from server.schemas import FrameFormat
+from server.service import Service, Services
+from worker.frames import Role, mesh_in_grid_units
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+
+GLB = "model/gltf-binary"
+
+PointFormat = Annotated[FrameFormat, Query(description="How to encode the positions.")]
+MeshFormat = Annotated[Literal["glb", "ply"], Query(description="Of the file.")]
+
+MESH: dict[int | str, dict[str, Any]] = {
+    200: {
+        "content": {GLB: points.BINARY, points.PLY: points.BINARY},
+        "description": "The mesh in grid units.",
+    },
+    304: {"description": "You have it already."},
+}
+
+
+@router.get(
+    "/source",
+    operation_id="getSource",
+    summary="Where the particles start",
+    response_class=Response,
+    responses=points.described("Positions of all particles before the first frame."),
+)
+def get_source(
+    job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
+) -> Response:
+    """Particles before the first frame, encoded as frames are and in their order."""
+    return _points("source", job_id, request, caller, service, format)
+
+
+@router.get(
+    "/target",
+    operation_id="getTarget",
+    summary="What the particles aim at",
+    response_class=Response,
+    responses=points.described("Positions of all target points."),
+)
+def get_target(
+    job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
+) -> Response:
+    """Target points, encoded as frames are; their number is another than that of the particles."""
+    return _points("target", job_id, request, caller, service, format)
+
+
+@router.get(
+    "/source/mesh",
+    operation_id="getSourceMesh",
+    summary="The source as a mesh",
+    response_class=Response,
+    responses=MESH,
+)
+def get_source_mesh(
+    job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
+) -> Response:
+    """The source mesh in grid units, placed as the job has placed it."""
+    return _mesh("source", job_id, request, caller, service, format)
+
+
+@router.get(
+    "/target/mesh",
+    operation_id="getTargetMesh",
+    summary="The target as a mesh",
+    response_class=Response,
+    responses=MESH,
+)
+def get_target_mesh(
+    job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
+) -> Response:
+    """The target mesh in grid units, placed as the job has placed it."""
+    return _mesh("target", job_id, request, caller, service, format)
+
+
+def _points(
+    role: Role, job_id: str, request: Request, caller: Caller, service: Service, format: FrameFormat
+) -> Response:
+    record = job_view.find(job_id, caller, service)
+    inputs = job_view.find_inputs(record, service)
+    positions = inputs.source_points if role == "source" else inputs.target_points
+    extent = float(record.spec.config["grid"]["half_extent"])
+    return points.answer(request, positions, format, extent, {})
+
+
+def _mesh(
+    role: Role,
+    job_id: str,
+    request: Request,
+    caller: Caller,
+    service: Service,
+    format: Literal["glb", "ply"],
+) -> Response:
+    import trimesh
+
+    record = job_view.find(job_id, caller, service)
+    mesh = mesh_in_grid_units(job_view.find_inputs(record, service), role)
+    if mesh is None:
+        raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
+    file = io.BytesIO()
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file, file_type=format)
+    body = file.getvalue()
+    headers = {
+        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
+        "Cache-Control": "private, no-cache",
+    }
+    if matches(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return Response(body, headers=headers, media_type=GLB if format == "glb" else points.PLY)

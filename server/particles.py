@@ -1,0 +1,94 @@
+"""/v1/meshes/{id}/particles and /v1/shapes/{name}/particles: a shape filled, before any job."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Query, Request, Response
+
+from morph_engine.config import GridConfig
+from server import meshes, points
+from server.access import Reader
+from server.problems import not_found
+from server.schemas import FrameFormat
+from server.service import Services
+from worker.job import Fit
+from worker.preview import Preview
+
+router = APIRouter()
+
+EXTENT = GridConfig().half_extent
+"""Half edge of the usual domain [grid units]."""
+
+Density = Annotated[int, Query(ge=1, le=8, description="Lattice points per grid unit and axis.")]
+Placing = Annotated[
+    Fit, Query(description="As the setting sampling.fit; `auto` scales only what does not fit.")
+]
+Format = Annotated[FrameFormat, Query(description="How to encode the positions.")]
+
+ANSWER = points.described(
+    "Positions of all particles.",
+    Morph_Count=("integer", "Number of particles."),
+    Morph_Warnings=("string", "What to know of the shape: a JSON list of sentences."),
+)
+
+
+@router.get(
+    "/meshes/{mesh_id}/particles",
+    operation_id="getMeshParticles",
+    summary="Particles of a mesh",
+    tags=["meshes"],
+    response_class=Response,
+    responses=ANSWER,
+)
+async def get_mesh_particles(
+    mesh_id: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    points_per_cell_edge: Density = 3,
+    fit: Placing = "auto",
+    format: Format = "u16",
+) -> Response:
+    """The particles that a job would fill the mesh with, encoded as frames are."""
+    row = await anyio.to_thread.run_sync(meshes.find, mesh_id, caller, service)
+    path = service.storage.mesh_file(mesh_id)
+    if path is None:
+        raise not_found("mesh", mesh_id)
+    preview = await service.previews.get(str(path), row.name, points_per_cell_edge, fit)
+    known = service.storage.mesh_report(mesh_id)["warnings"]
+    return _answer(request, preview, format, [*known, *preview.warnings])
+
+
+@router.get(
+    "/shapes/{shape:path}/particles",
+    operation_id="getShapeParticles",
+    summary="Particles of a built-in shape",
+    tags=["catalog"],
+    response_class=Response,
+    responses=ANSWER,
+)
+async def get_shape_particles(
+    shape: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    points_per_cell_edge: Density = 3,
+    fit: Placing = "auto",
+    format: Format = "u16",
+) -> Response:
+    """The particles that a job would fill the shape with; `text:WORD` is one, too."""
+    preview = await service.previews.get(shape, shape, points_per_cell_edge, fit)
+    return _answer(request, preview, format, list(preview.warnings))
+
+
+def _answer(
+    request: Request, preview: Preview, format: FrameFormat, warnings: list[str]
+) -> Response:
+    headers = {
+        "Morph-Count": str(len(preview.positions)),
+        "Morph-Warnings": json.dumps(warnings),
+    }
+    return points.answer(request, preview.positions, format, EXTENT, headers)

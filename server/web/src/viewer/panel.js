@@ -1,0 +1,316 @@
+/** One job in the viewer: its frames, colours, target and surface, with words that tell the same. */
+import { points } from "../api.js";
+import { fill, h } from "../dom.js";
+import { number, percent } from "../format.js";
+import { COLOURS, decisive, range, values } from "./colours.js";
+import { Frames } from "./frames.js";
+import { Legend } from "./legend.js";
+import { nearest } from "./nearest.js";
+
+const FIELDS_HELD = 40e6; // bytes
+const SURFACES_HELD = 12;
+const PATIENCE_MILLISECONDS = 400;
+const HELP =
+  "Drag to turn, right button or two fingers to move, wheel to zoom. " +
+  "Keys: arrows turn, with Shift they move, + and − zoom, 0 resets.";
+
+/** A figure with the 3D view of a job; all of its methods may be called before it is ready. */
+export class Panel {
+  #turn = 0;
+  #viewer = null;
+  #ready;
+  #opened;
+  #fields = new Map();
+  #surfaces = new Map();
+  #asked = new AbortController();
+  #rangeOf = "";
+  #targetShown = null;
+
+  /**
+   * @param {string} jobId
+   * @param {object} options
+   * @param {AbortSignal} options.signal ends everything.
+   * @param {object} options.display see display.js.
+   * @param {(view: object) => void} [options.onView] hears how the user moves the camera.
+   * @param {() => void} [options.onArrival] hears that a frame has come.
+   * @param {() => Promise<object | null>} [options.sharedRange] the range of several jobs together.
+   */
+  constructor(jobId, { signal, display, onView, onArrival = () => {}, sharedRange = null }) {
+    this.jobId = jobId;
+    this.signal = signal;
+    this.display = { ...display };
+    this.sharedRange = sharedRange;
+    this.metrics = () => null;
+    this.total = 0;
+    this.index = -1;
+    this.frames = new Frames(jobId, {
+      signal,
+      onArrival: (index) => {
+        if (COLOURS[this.display.colour]?.local && this.#decides(index)) this.#recolour();
+        onArrival(index);
+      },
+    });
+    this.scene = h("div", {
+      class: "scene",
+      tabindex: 0,
+      role: "application",
+      "aria-roledescription": "3D view",
+      "aria-label": "3D view of the particles",
+    });
+    this.help = h("p", { class: "visually-hidden", id: `help-${jobId}` }, HELP);
+    this.scene.setAttribute("aria-describedby", this.help.id);
+    this.note = h("p", { class: "scene-note small", hidden: true });
+    this.legend = new Legend();
+    this.caption = h("figcaption", { class: "small quiet" }, "No frame is finished yet.");
+    this.element = h(
+      "figure",
+      { class: "view" },
+      h("div", { class: "scene-frame" }, this.scene, this.note),
+      h("div", { class: "under" }, this.caption, this.legend.element),
+      this.help,
+    );
+    this.#ready = new Promise((resolve) => (this.#opened = resolve));
+    this.onView = onView;
+    signal.addEventListener("abort", () => this.#viewer?.dispose(), { once: true });
+  }
+
+  /** Make the 3D view, which takes a moment: ask for what it is to show before. */
+  open() {
+    this.#opened(this.#open());
+  }
+
+  /** @returns {Promise<import("./viewer.js").Viewer | null>} null where 3D cannot be shown. */
+  get viewer() {
+    return this.#ready;
+  }
+
+  /** @param {object} config of the job, which tells how far apart its particles are. */
+  async setConfig({ grid, sampling }) {
+    (await this.#ready)?.setSpacing(grid.dx / sampling.points_per_cell_edge);
+  }
+
+  /** Forget all frames: the job began anew. */
+  clear() {
+    this.frames.clear();
+    this.#fields.clear();
+    this.#surfaces.clear();
+    this.source = undefined;
+    this.#rangeOf = "";
+    this.index = -1;
+  }
+
+  /** Show a frame once it is here; a later call overtakes an earlier one. */
+  async show(index) {
+    const turn = ++this.#turn;
+    this.#asked.abort();
+    this.#asked = new AbortController();
+    const viewer = await this.#ready;
+    if (!(await this.frames.wait(index)) || turn !== this.#turn) return;
+    this.index = index;
+    viewer?.setFrame(index, this.frames.positions(index));
+    this.describe();
+    if (viewer) await this.#paint(viewer, turn);
+  }
+
+  /** Show the same frame in another way. */
+  async setDisplay(display) {
+    const before = this.display;
+    this.display = { ...display };
+    const viewer = await this.#ready;
+    if (!viewer) return;
+    if (before.up !== display.up) viewer.setUp(display.up);
+    const { axis, offset } = display;
+    viewer.setCut(axis === "none" ? null : { axis, offset });
+    const turning = ["colour", "shape", "up"].some((name) => before[name] !== display[name]);
+    if (this.#targetShown !== display.target) await this.#showTarget(viewer);
+    if (turning) await this.#recolour();
+  }
+
+  /** Say in words what is shown. */
+  describe() {
+    const metrics = this.metrics(this.index);
+    const parts = [`Frame ${this.index + 1} of ${this.total || this.frames.known}`];
+    if (metrics?.two_sided !== undefined) {
+      parts.push(`Chamfer distance ${number(metrics.two_sided, 3)} dx`);
+    }
+    if (metrics?.coverage !== undefined) parts.push(`coverage ${percent(metrics.coverage).replace(" ", "\u00a0")}`);
+    const text = this.index < 0 ? "No frame is finished yet." : `${parts.join(", ")}.`;
+    this.caption.textContent = text;
+    this.scene.querySelector("canvas")?.setAttribute("aria-label", text);
+  }
+
+  /** Compute the range of colours again, as when more frames are known. */
+  async measure() {
+    const { colour } = this.display;
+    if (!(colour in COLOURS) || !this.frames.known) return null;
+    return range(colour, this.frames, await this.#given());
+  }
+
+  /** Colour again, as when the shared range has changed. */
+  recolour() {
+    return this.#recolour();
+  }
+
+  #decides(index) {
+    return decisive(this.display.colour, this.frames).includes(index);
+  }
+
+  async #open() {
+    try {
+      const { Viewer } = await import("./viewer.js");
+      if (this.signal.aborted) return null;
+      const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)").matches;
+      this.#viewer = new Viewer(this.scene, { reducedMotion, onView: this.onView });
+    } catch (error) {
+      console.warn("no 3D view", error);
+      this.#say("This browser does not show 3D graphics; numbers and downloads are below.");
+      return null;
+    }
+    const { axis, offset, up } = this.display;
+    this.#viewer.setUp(up);
+    this.#viewer.setCut(axis === "none" ? null : { axis, offset });
+    this.#showTarget(this.#viewer);
+    return this.#viewer;
+  }
+
+  async #recolour() {
+    const viewer = await this.#ready;
+    this.#rangeOf = "";
+    if (viewer && this.index >= 0) await this.#paint(viewer, this.#turn);
+  }
+
+  /** Colours or surface of the frame shown, as far as nothing newer is wanted. */
+  async #paint(viewer, turn) {
+    const stale = () => turn !== this.#turn || this.signal.aborted;
+    const surface = this.display.shape === "surface";
+    const { colour } = this.display;
+    try {
+      const mesh = surface && (await this.#patiently("Computing the surface…", this.#surface(this.index)));
+      if (stale() || surface !== (this.display.shape === "surface")) return;
+      viewer.setSurface(mesh || null);
+      this.#say(mesh ? about(mesh) : "");
+      if (!(colour in COLOURS)) {
+        if (mesh) viewer.setSurfaceColors(null);
+        else viewer.setColors(null);
+        this.legend.show(null);
+        return;
+      }
+      const [found, scale] = await this.#patiently("Computing the colours…", this.#coloured(colour));
+      if (stale() || colour !== this.display.colour) return;
+      if (surface !== (this.display.shape === "surface")) return;
+      if (mesh) viewer.setSurfaceColors(found, scale, this.#near(mesh));
+      else viewer.setColors(found, scale);
+      this.legend.show(found ? colour : null, scale);
+      this.#say(mesh ? about(mesh) : "");
+    } catch (error) {
+      if (stale() || error.name === "AbortError") return;
+      if (!surface) {
+        viewer.setColors(null);
+        this.legend.show(null);
+      }
+      const what = surface ? "The surface" : COLOURS[colour].label;
+      this.#say(`${what} is not available: ${error.message}`);
+    }
+  }
+
+  async #coloured(colour) {
+    const scale = await this.#scale();
+    return [scale && (await this.#values(colour, scale)), scale];
+  }
+
+  /** Wait for something, and say so if it takes a while. */
+  async #patiently(text, promise) {
+    const timer = setTimeout(() => this.#say(text), PATIENCE_MILLISECONDS);
+    try {
+      return await promise;
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+
+  async #scale() {
+    const key = `${this.display.colour} ${this.display.up}`;
+    if (this.#rangeOf !== key || !this.scale) {
+      this.#fields.clear();
+      this.scale = await (this.sharedRange ? this.sharedRange() : this.measure());
+      this.#rangeOf = key;
+    }
+    return this.scale;
+  }
+
+  async #values(colour, scale) {
+    const given = { ...(await this.#given()), range: scale };
+    if (COLOURS[colour].local) return values(colour, this.frames, this.index, given);
+    const { index } = this;
+    if (!this.#fields.has(index)) {
+      const found = await values(colour, this.frames, index, { ...given, signal: this.#asked.signal });
+      if (found.byteLength * this.#fields.size > FIELDS_HELD) this.#fields.clear();
+      this.#fields.set(index, found);
+    }
+    return this.#fields.get(index);
+  }
+
+  /** What colourings need besides the frame; where the source is unknown, frame 0 stands for it. */
+  async #given() {
+    const { colour, up } = this.display;
+    if (!this.source && ["height", "displacement", "speed"].includes(colour)) {
+      this.asking ??= points(`/jobs/${this.jobId}/source`, { signal: this.signal })
+        .then(({ positions }) => positions)
+        .catch(async () => ((await this.frames.wait(0)) ? this.frames.positions(0).slice() : null));
+      this.source = await this.asking;
+      this.asking = undefined;
+    }
+    return { source: this.source ?? null, up };
+  }
+
+  async #surface(index) {
+    if (!this.#surfaces.has(index)) {
+      const { mesh } = await import("./meshes.js");
+      const path = `/jobs/${this.jobId}/frames/${index}/surface`;
+      const found = await mesh(path, { query: { units: "grid" }, signal: this.#asked.signal });
+      this.#surfaces.set(index, found);
+      if (this.#surfaces.size > SURFACES_HELD) {
+        this.#surfaces.delete(this.#surfaces.keys().next().value);
+      }
+    }
+    return this.#surfaces.get(index);
+  }
+
+  /** The particle nearest to each vertex of the surface of the frame shown. */
+  #near(mesh) {
+    mesh.near ??= nearest(this.frames.positions(this.index), mesh.vertices, 3 * this.#viewer.spacing);
+    return mesh.near;
+  }
+
+  async #showTarget(viewer) {
+    const { target } = this.display;
+    this.#targetShown = target;
+    try {
+      if (target === "cloud") {
+        this.target ??= await points(`/jobs/${this.jobId}/target`, { signal: this.signal });
+      }
+      if (target === "wireframe" && !this.wireframe) {
+        const { mesh } = await import("./meshes.js");
+        this.wireframe = await mesh(`/jobs/${this.jobId}/target/mesh`, { signal: this.signal });
+      }
+      if (this.#targetShown !== target) return;
+      viewer.setTarget(target === "cloud" ? this.target : null);
+      viewer.setWireframe(target === "wireframe" ? this.wireframe : null);
+    } catch (error) {
+      if (this.signal.aborted) return;
+      this.#say(`The target is not available: ${error.message}`);
+    }
+  }
+
+  #say(text) {
+    this.note.hidden = !text;
+    fill(this.note, text);
+  }
+}
+
+function about({ headers }) {
+  const mean = Number(headers.get("Morph-Deviation-Mean"));
+  if (!headers.has("Morph-Deviation-Mean")) return "";
+  const closed = headers.get("Morph-Watertight") === "true" ? "Closed surface" : "Surface with holes";
+  return `${closed}, ${number(mean, 2)} dx from the target on average.`;
+}

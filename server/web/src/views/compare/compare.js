@@ -1,0 +1,158 @@
+/** Two to four jobs side by side: one camera, one time, one scale of colours. */
+import "../../viewer/viewer.css";
+import "../../charts/charts.css";
+import "./compare.css";
+
+import { get } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { jobName, lives, state as word } from "../../format.js";
+import { problem, title } from "../../router.js";
+import { COLOURS } from "../../viewer/colours.js";
+import { Display } from "../../viewer/display.js";
+import { Panel } from "../../viewer/panel.js";
+import { Timeline } from "../../viewer/timeline.js";
+import { follow } from "./follow.js";
+import { Links } from "./links.js";
+import { Overlay } from "./overlay.js";
+import { table } from "./table.js";
+
+const MOST = 4;
+const EXTENT = 14; // half edge of the domain's safe part [grid units]
+
+/** Show the jobs that the query names, `?jobs=a,b`. */
+export async function show(root, { jobs: wanted = "" }, signal) {
+  title("Compare");
+  const ids = [...new Set(wanted.split(",").filter(Boolean))].slice(0, MOST);
+  if (ids.length < 2) {
+    fill(
+      root,
+      h("h1", null, "Compare"),
+      h("p", null, "Choose two to four jobs in the ", h("a", { href: "/" }, "list of jobs"), "."),
+    );
+    return;
+  }
+  const jobs = await Promise.all(ids.map((id) => get(`/jobs/${id}`, { signal })));
+  const rows = ids.map(() => []);
+  const links = new Links();
+  const display = new Display({
+    extent: EXTENT,
+    onChange: (state) => links.panels.forEach((panel) => panel.setDisplay(state)),
+  });
+  const overlay = new Overlay({ onSeek: (index) => timeline.choose(index), signal });
+  const panels = ids.map((id, i) => {
+    const panel = new Panel(id, {
+      signal,
+      display: display.state,
+      onView: (view) => links.look(panel, view),
+      sharedRange: () => links.range(),
+      onArrival: () => settle(),
+    });
+    panel.metrics = (index) => rows[i][index] ?? null;
+    panel.frames.grow(jobs[i].progress.frame);
+    panel.open();
+    return links.add(panel);
+  });
+  const timeline = new Timeline({
+    signal,
+    show: async (index) => {
+      overlay.setFrame(index);
+      await Promise.all(
+        panels.map((panel) => showIn(panel, index)),
+      );
+    },
+  });
+  const showIn = (panel, index) => {
+    const { known } = panel.frames;
+    return known > 0 && index >= 0 ? panel.show(Math.min(index, known - 1)) : null;
+  };
+  const differences = h("div");
+  const heads = jobs.map(() => h("div", { class: "compare-head" }));
+  fill(
+    root,
+    h(
+      "div",
+      { class: "stack compare" },
+      h("h1", null, "Compare"),
+      h(
+        "div",
+        { class: `compare-views of-${ids.length}` },
+        panels.map((panel, i) => h("section", { class: "stack", "aria-label": jobName(jobs[i]) }, heads[i], panel.element)),
+      ),
+      timeline.element,
+      display.element,
+      h(
+        "div",
+        { class: "row" },
+        h("button", { type: "button", class: "compact", on: { click: () => links.reset() } }, "Reset view"),
+      ),
+      h("h2", null, "Metrics"),
+      h("p", { class: "quiet small" }, "Differences are to the first job; the best of each row is bold."),
+      differences,
+      h("h2", null, "Curves"),
+      overlay.element,
+    ),
+  );
+
+  const draw = () => {
+    fill(differences, table(jobs));
+    overlay.set(jobs, rows);
+    overlay.setFrame(timeline.index);
+    jobs.forEach((job, i) => head(heads[i], job, i));
+    const longest = Math.max(...panels.map((panel) => panel.frames.known));
+    timeline.grow(longest, jobs.some((job) => lives(job.state)));
+  };
+  let settling = 0;
+  let settled = false;
+  const settle = () => {
+    clearTimeout(settling);
+    settling = setTimeout(async () => {
+      if (signal.aborted) return;
+      if (!settled || COLOURS[display.state.colour]?.local) await links.recolour();
+      if (!settled && panels.every((panel) => panel.index >= 0)) {
+        settled = true;
+        await links.reset();
+      }
+    }, 150);
+  };
+  signal.addEventListener("abort", () => clearTimeout(settling), { once: true });
+  ids.forEach((id, i) => {
+    get(`/jobs/${id}/config`, { signal })
+      .then((config) => panels[i].setConfig(config))
+      .catch(() => {});
+    follow(id, signal, (job, found) => {
+      jobs[i] = job;
+      rows[i] = found;
+      panels[i].total = job.progress.frames;
+      const before = panels[i].frames.known;
+      panels[i].frames.grow(Math.max(job.progress.frame, found.length));
+      const index = timeline.index;
+      draw();
+      const more = panels[i].frames.known > before && index === timeline.index;
+      if (more && index > panels[i].index) showIn(panels[i], index);
+      panels[i].describe();
+    }).catch((error) => signal.aborted || fill(heads[i], problem(error)));
+  });
+}
+
+function head(element, job, i) {
+  const key = JSON.stringify([job.state, job.progress.frame]);
+  if (element.dataset.shown === key) return;
+  element.dataset.shown = key;
+  const focused = element.contains(document.activeElement);
+  fill(
+    element,
+    h(
+      "h2",
+      null,
+      h("i", { class: `swatch series-${i + 1}` }),
+      h("a", { href: `/jobs/${job.id}` }, jobName(job)),
+    ),
+    h(
+      "p",
+      { class: "small quiet row" },
+      h("span", { class: `badge ${job.state}` }, word(job.state)),
+      `method ${job.method}`,
+    ),
+  );
+  if (focused) element.querySelector("a").focus();
+}

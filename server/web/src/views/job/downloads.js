@@ -1,0 +1,191 @@
+/** Files of a job: what is there already, and exports that are made on demand. */
+import { Problem, get, pause, post, save } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { bytes, lives, percent } from "../../format.js";
+import { COLOURS } from "../../viewer/colours.js";
+import { problem } from "../../router.js";
+
+const ASK_MILLISECONDS = 500;
+
+/** The section; `update` tells it of the job, `frame` returns the index of the frame shown. */
+export class Downloads {
+  constructor({ jobId, frame, signal }) {
+    Object.assign(this, { jobId, frame, signal });
+    this.trouble = h("div");
+    this.files = h("div", { class: "row" });
+    this.exports = h("div", { class: "stack exports" });
+    this.element = h(
+      "section",
+      { class: "panel stack", "aria-labelledby": "downloads" },
+      h("h2", { id: "downloads" }, "Downloads"),
+      this.files,
+      this.exports,
+      this.trouble,
+    );
+    this.#offerExports();
+  }
+
+  /** @param {object} job as it is now. */
+  update(job) {
+    this.job = job;
+    const shown = JSON.stringify([job.state, job.progress.frame > 0]);
+    if (shown === this.shown) return;
+    this.shown = shown;
+    const some = job.progress.frame > 0;
+    const root = `/jobs/${this.jobId}`;
+    const size = job.outcome ? `, ${bytes(job.outcome.size_bytes)}` : "";
+    fill(
+      this.files,
+      !lives(job.state) &&
+        some &&
+        this.#file(`Result, VTKHDF${size}`, `${root}/result`, () => "result.vtkhdf"),
+      some &&
+        this.#file(
+          "This frame, PLY",
+          () => `${root}/frames/${this.frame()}`,
+          () => `frame-${this.frame() + 1}.ply`,
+          { format: "ply" },
+        ),
+      some &&
+        this.#file(
+          "Surface of this frame, GLB",
+          () => `${root}/frames/${this.frame()}/surface`,
+          () => `surface-${this.frame() + 1}.glb`,
+          { format: "glb", units: "user" },
+        ),
+      some && this.#file("Metrics, CSV", `${root}/metrics`, () => "metrics.csv", { format: "csv" }),
+      this.#file("Log", `${root}/log`, () => "log.txt"),
+    );
+    this.exports.hidden = !some;
+  }
+
+  #file(label, path, name, query) {
+    const click = async (event) => {
+      const pressed = event.currentTarget;
+      pressed.disabled = true;
+      fill(this.trouble);
+      try {
+        const address = typeof path === "function" ? path() : path;
+        await save(address, name(), { query, signal: this.signal });
+      } catch (error) {
+        this.#fault(error);
+      } finally {
+        pressed.disabled = false;
+      }
+    };
+    return h("button", { type: "button", class: "compact", on: { click } }, label);
+  }
+
+  async #offerExports() {
+    let formats;
+    try {
+      formats = await get("/exports/formats", { signal: this.signal });
+    } catch {
+      return; // a service without exports
+    }
+    const choose = (label, options, change = () => {}) => {
+      const id = `export-${label.split(" ")[0].toLowerCase()}`;
+      const select = h(
+        "select",
+        { id, on: { change } },
+        options.map(([value, text]) => h("option", { value }, text)),
+      );
+      const field = h("div", { class: "field" }, h("label", { class: "small quiet", for: id }, label), select);
+      return { select, field };
+    };
+    const chosen = () => formats.find((one) => one.name === format.select.value);
+    const reflect = () => {
+      const { carries, description, kind } = chosen();
+      explain.textContent = `${description}.`;
+      content.field.hidden = !(carries.includes("points") && carries.includes("surface"));
+      frames.field.hidden = kind === "table";
+      frames.select.value = kind === "frame" ? "this" : "all";
+      fields.field.hidden = !carries.includes("fields");
+      units.field.hidden = kind === "table";
+    };
+    const format = choose("Format", formats.map((one) => [one.name, one.name.toUpperCase()]), reflect);
+    const content = choose("Content", [
+      ["points", "Particles"],
+      ["surface", "Surface"],
+    ]);
+    const frames = choose("Frames", [
+      ["this", "The one shown"],
+      ["all", "All"],
+    ]);
+    const fields = choose("Values", [
+      ["", "None"],
+      ...Object.entries(COLOURS)
+        .filter(([name]) => name !== "height")
+        .map(([name, { label }]) => [name, label]),
+    ]);
+    const units = choose("Lengths in", [
+      ["user", "Your units"],
+      ["grid", "Grid units"],
+    ]);
+    const explain = h("p", { class: "quiet small" });
+    const state = h("div", { class: "stack", role: "status" });
+    const submit = async (event) => {
+      event.preventDefault();
+      const { carries, kind } = chosen();
+      const one = kind !== "table" && frames.select.value === "this";
+      await this.#export(state, {
+        format: format.select.value,
+        frames: one ? [this.frame()] : null,
+        surface: carries.includes("surface") && (content.field.hidden || content.select.value === "surface"),
+        units: units.select.value,
+        fields: fields.field.hidden || !fields.select.value ? [] : [fields.select.value],
+      });
+    };
+    fill(
+      this.exports,
+      h("h3", null, "Export"),
+      h(
+        "form",
+        { class: "row export-form", on: { submit } },
+        format.field,
+        content.field,
+        frames.field,
+        fields.field,
+        units.field,
+        h("button", { class: "primary" }, "Export"),
+      ),
+      explain,
+      state,
+    );
+    reflect();
+  }
+
+  async #export(state, wanted) {
+    const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress of the export" });
+    const words = h("p", { class: "small" }, "The export begins.");
+    fill(state, words, bar);
+    try {
+      let made = await post(`/jobs/${this.jobId}/exports`, wanted, { signal: this.signal });
+      const path = `/jobs/${this.jobId}/exports/${made.id}`;
+      while (made.state === "running") {
+        bar.value = made.progress ?? 0;
+        words.textContent = `The export is under way, ${percent(made.progress ?? 0)}.`;
+        await pause(ASK_MILLISECONDS, this.signal);
+        made = await get(path, { signal: this.signal });
+      }
+      if (made.state === "failed") throw new Problem({ detail: made.problem?.cause, ...made.problem });
+      fill(
+        state,
+        h("p", { class: "small" }, "The export is ready. "),
+        h(
+          "div",
+          { class: "row" },
+          this.#file(`Save ${made.file_name}, ${bytes(made.size)}`, `${path}/file`, () => made.file_name),
+        ),
+      );
+    } catch (error) {
+      if (!this.signal.aborted) fill(state, problem(error));
+    }
+  }
+
+  #fault(error) {
+    if (this.signal.aborted) return;
+    if (!(error instanceof Problem)) throw error;
+    fill(this.trouble, problem(error));
+  }
+}

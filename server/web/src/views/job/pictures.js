@@ -1,0 +1,83 @@
+/** Buttons that take pictures and films of what is shown. */
+import { h } from "../../dom.js";
+import { canRecord } from "../../viewer/recording.js";
+
+const TURN_SECONDS = 6;
+
+/**
+ * @param {object} options
+ * @param {import("../../viewer/panel.js").Panel} options.panel
+ * @param {import("../../viewer/timeline.js").Timeline} options.timeline
+ * @param {() => string} options.name what files are called, without a suffix.
+ * @param {AbortSignal} options.signal
+ */
+export function pictures({ panel, timeline, name, signal }) {
+  let recording = null;
+  const film = (label, suffix, make) => {
+    const button = h("button", { type: "button", class: "compact" }, label);
+    button.addEventListener("click", async () => {
+      if (recording) return recording.abort();
+      const viewer = await panel.viewer;
+      if (!viewer) return;
+      timeline.stop();
+      recording = new AbortController();
+      const stop = AbortSignal.any([signal, recording.signal]);
+      const others = [...element.querySelectorAll("button")].filter((one) => one !== button);
+      for (const other of others) other.disabled = true;
+      button.textContent = "Stop recording";
+      try {
+        const { advance, seconds } = make(viewer);
+        keep(await viewer.record(advance, { seconds, signal: stop }), `${name()}-${suffix}.webm`);
+      } finally {
+        recording = null;
+        button.textContent = label;
+        for (const other of others) other.disabled = false;
+      }
+    });
+    return button;
+  };
+  const turntable = (viewer) => {
+    let before = 0;
+    const advance = (share) => {
+      viewer.turn((share - before) * 2 * Math.PI);
+      before = share;
+    };
+    return { advance, seconds: TURN_SECONDS };
+  };
+  const trajectory = () => ({
+    advance: async (share) => {
+      const index = Math.round(share * (timeline.count - 1));
+      if (index !== timeline.index) await timeline.go(index);
+    },
+    seconds: Math.max(1, timeline.count / Number(timeline.rate.value)),
+  });
+  const element = h(
+    "div",
+    { class: "row pictures", role: "group", "aria-label": "Camera and pictures" },
+    h("button", { type: "button", class: "compact", on: { click: async () => (await panel.viewer)?.reset() } }, "Reset view"),
+    h(
+      "button",
+      {
+        type: "button",
+        class: "compact",
+        on: {
+          click: async () => {
+            const viewer = await panel.viewer;
+            if (viewer) keep(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
+          },
+        },
+      },
+      "Picture, PNG",
+    ),
+    canRecord() && film("Film of the frames, WebM", "frames", trajectory),
+    canRecord() && film("Turntable, WebM", "turntable", turntable),
+  );
+  return element;
+}
+
+/** Let the browser save a file. */
+function keep(blob, name) {
+  const link = h("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}

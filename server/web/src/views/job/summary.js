@@ -1,0 +1,176 @@
+/** The head of a job's page: what it is, how far it has come, what may be done with it. */
+import { announce } from "../../announce.js";
+import { get } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { count, duration, jobName, lives, number, plural, state as word, when } from "../../format.js";
+import { go, problem } from "../../router.js";
+import { actions } from "../jobs/actions.js";
+
+const GONE = "The service does not answer. The page goes on by itself once it is back.";
+const METRICS = [
+  ["two_sided", "Chamfer distance", "dx"],
+  ["hausdorff", "Hausdorff", "dx"],
+  ["f1", "F1", ""],
+  ["coverage", "Coverage", ""],
+  ["iou", "Volume overlap", ""],
+];
+
+/** Draws a job; what has not changed is left alone, so that the focus stays. */
+export class Summary {
+  /** @param {{changed: () => Promise<void>, signal: AbortSignal}} options */
+  constructor({ changed, signal }) {
+    Object.assign(this, { changed, signal });
+    this.drawn = {};
+    const part = (name) => (this[name] = h("div", { class: name }));
+    this.heading = h("h1");
+    this.notice = h("p", { class: "notice warn small", hidden: true });
+    this.element = h(
+      "header",
+      { class: "summary" },
+      h("div", { class: "spread" }, h("div", null, this.heading, part("facts")), part("buttons")),
+      part("standing"),
+      part("trouble"),
+      this.notice,
+    );
+  }
+
+  /** @param {object} job as it is now. */
+  update(job) {
+    this.heading.textContent = jobName(job);
+    const { progress, state } = job;
+    this.#part("facts", [job.name, job.created_at, job.outcome?.particle_count], () =>
+      h(
+        "p",
+        { class: "quiet small" },
+        [
+          job.name && `${job.source_name} → ${job.target_name}`,
+          `method ${job.method}`,
+          job.outcome && `${count(job.outcome.particle_count)} particles`,
+          `submitted ${when(job.created_at)}`,
+        ]
+          .filter(Boolean)
+          .join(" · "),
+      ),
+    );
+    this.#part("buttons", [state], () => [
+      actions(job, this.changed),
+      h(
+        "div",
+        { class: "row" },
+        h("button", { type: "button", class: "compact", on: { click: () => this.#compare(job).catch((error) => fill(this.trouble, problem(error))) } }, "Compare with…"),
+      ),
+    ]);
+    this.#part("standing", [state, progress, job.queue_position], () => standing(job));
+    this.#part("trouble", [job.problem], () => job.problem && problemOf(job));
+  }
+
+  /** Say quietly that the service is gone, or nothing. */
+  connection(there) {
+    if (this.notice.hidden === there) return;
+    this.notice.hidden = there;
+    this.notice.textContent = there ? "" : GONE;
+    announce(there ? "The service is back." : GONE);
+  }
+
+  #part(name, from, make) {
+    const key = JSON.stringify(from);
+    if (this.drawn[name] === key) return;
+    this.drawn[name] = key;
+    const focused = this[name].contains(document.activeElement);
+    fill(this[name], make());
+    if (focused) this[name].querySelector("button, a")?.focus();
+  }
+
+  async #compare(job) {
+    const { items } = await get("/jobs", { query: { limit: 50 }, signal: this.signal });
+    const others = items.filter((one) => one.id !== job.id);
+    const boxes = [];
+    const most = () => {
+      const chosen = boxes.filter((box) => box.checked).length;
+      for (const box of boxes) box.disabled = chosen >= 3 && !box.checked;
+      open.disabled = chosen === 0;
+    };
+    const open = h("button", { class: "primary", value: "compare", disabled: true }, "Compare");
+    const dialog = h(
+      "dialog",
+      { "aria-labelledby": "compare-title" },
+      h(
+        "form",
+        { method: "dialog", class: "stack" },
+        h("h2", { id: "compare-title" }, "Compare with"),
+        h("p", { class: "quiet small" }, "Choose up to three jobs."),
+        h(
+          "div",
+          { class: "compare-choices" },
+          others.length === 0 && h("p", null, "There is no other job yet."),
+          others.map((other) => {
+            const box = h("input", { type: "checkbox", value: other.id, on: { change: most } });
+            boxes.push(box);
+            return h(
+              "label",
+              { class: "choice" },
+              box,
+              h("span", null, jobName(other), h("span", { class: "quiet small" }, ` ${other.method}, ${word(other.state)}`)),
+            );
+          }),
+        ),
+        h("div", { class: "actions" }, h("button", { value: "" }, "Close"), open),
+      ),
+    );
+    document.body.append(dialog);
+    this.signal.addEventListener("abort", () => dialog.remove(), { once: true });
+    dialog.addEventListener("close", () => {
+      const ids = boxes.filter((box) => box.checked).map((box) => box.value);
+      dialog.remove();
+      if (dialog.returnValue === "compare" && ids.length) go(`/compare?jobs=${[job.id, ...ids].join(",")}`);
+    });
+    dialog.showModal();
+  }
+}
+
+function standing(job) {
+  const { progress, state } = job;
+  const words = [h("span", { class: `badge ${state}` }, word(state))];
+  if (state === "queued") words.push(place(job.queue_position));
+  if (progress.frame > 0 || state === "running") {
+    words.push(`${progress.frame} of ${plural(progress.frames, "frame")}`);
+  }
+  if (lives(state) && progress.seconds_left !== null) words.push(`about ${duration(progress.seconds_left)} left`);
+  if (state === "succeeded" && job.started_at) {
+    words.push(`in ${duration((new Date(job.finished_at) - new Date(job.started_at)) / 1000)}`);
+  }
+  const metrics = job.outcome?.metrics ?? progress.metrics;
+  const known = METRICS.filter(([name]) => name in metrics);
+  return [
+    h("p", { class: "row words" }, words.map((text) => h("span", null, text))),
+    lives(state) &&
+      h("progress", { max: progress.frames, value: progress.frame, "aria-label": "Finished frames" }),
+    known.length > 0 &&
+      h(
+        "dl",
+        { class: "figures" },
+        known.map(([name, label, unit]) =>
+          h(
+            "div",
+            null,
+            h("dt", { class: "quiet small" }, label),
+            h("dd", null, number(metrics[name], 3), unit && h("span", { class: "quiet small" }, ` ${unit}`)),
+          ),
+        ),
+      ),
+  ];
+}
+
+function place(position) {
+  if (position === null) return "waits";
+  return position === 0 ? "next in the queue" : `${plural(position, "job")} before it`;
+}
+
+function problemOf({ problem }) {
+  return h(
+    "div",
+    { class: "notice bad" },
+    h("p", null, problem.cause),
+    problem.remedy && h("p", { class: "quiet" }, problem.remedy),
+  );
+}

@@ -1,0 +1,262 @@
+/** Where the particles come from, or what they become: a mesh of the user's, a shape or a text. */
+
+import { get, upload } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { count, plural } from "../../format.js";
+import { problem } from "../../router.js";
+import { Preview } from "./preview.js";
+
+const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf";
+const TEXT = "text:";
+const EARLIER = 50;
+
+/** The choice of one shape, with what the service sees in it. */
+export class Chooser {
+  /**
+   * @param {"source"|"target"} role
+   * @param {string} label what it is to the user
+   * @param {Array<{name: string}>} shapes that need no file
+   * @param {(shape: object) => void} changed hears {shape} or {mesh}
+   * @param {AbortSignal} signal
+   */
+  constructor(role, label, shapes, changed, signal) {
+    Object.assign(this, { role, label, changed, signal });
+    this.preview = new Preview(`Particles of the ${role}`, signal);
+    this.trouble = h("div");
+    this.report = h("div");
+    this.panels = {
+      file: this.filePanel(),
+      shape: this.shapePanel(shapes.filter(({ name }) => !name.startsWith(TEXT))),
+      text: this.textPanel(),
+    };
+    this.kinds = Object.fromEntries(
+      [
+        ["file", "Mesh file"],
+        ["shape", "Built-in"],
+        ["text", "Text"],
+      ].map(([kind, text]) => [kind, this.kindButton(kind, text)]),
+    );
+    this.element = h(
+      "section",
+      { class: "panel stack chooser", "aria-label": label },
+      h(
+        "fieldset",
+        { class: "stack" },
+        h("legend", null, h("h2", null, label)),
+        h("div", { class: "segments" }, Object.values(this.kinds).map(({ element }) => element)),
+      ),
+      ...Object.values(this.panels),
+      this.trouble,
+      h("div", { class: "preview-frame" }, this.preview.scene),
+      this.preview.count,
+      this.report,
+      this.preview.warnings,
+    );
+    this.takeDrops();
+  }
+
+  /** Show a shape, and its particles as they would be sampled. */
+  show(shape, sampling) {
+    const kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
+    const address = shape.mesh ?? shape.shape;
+    if (address !== this.address) {
+      this.address = address;
+      this.choose(kind);
+      fill(this.report);
+      if (kind === "file") this.describe(shape.mesh);
+      if (kind === "text") this.word.value = address.slice(TEXT.length);
+      for (const button of this.panels.shape.querySelectorAll("input")) {
+        button.checked = button.value === address;
+      }
+    }
+    this.preview.show(shape, sampling);
+  }
+
+  /** Take a file that was dropped or picked. */
+  async take(file) {
+    this.choose("file");
+    fill(this.trouble);
+    const bar = h("progress", { max: 1, value: 0, "aria-label": `Upload of ${file.name}` });
+    const said = h("p", { class: "small", role: "status" }, `Sending ${file.name}`);
+    fill(this.sending, bar, said);
+    try {
+      const onProgress = (share) => {
+        bar.value = share;
+        if (share === 1) fill(said, `Reading ${file.name}`);
+      };
+      const query = { name: file.name };
+      const mesh = await upload("/meshes", file, { query, signal: this.signal, onProgress });
+      this.known.set(mesh.id, mesh);
+      this.listEarlier();
+      this.changed({ mesh: mesh.id });
+    } catch (error) {
+      if (error.name !== "Problem") throw error;
+      fill(this.trouble, problem(error));
+    } finally {
+      fill(this.sending);
+      this.picker.value = "";
+    }
+  }
+
+  choose(kind) {
+    for (const [name, panel] of Object.entries(this.panels)) panel.hidden = name !== kind;
+    this.kinds[kind].input.checked = true;
+  }
+
+  kindButton(kind, text) {
+    const change = () => {
+      fill(this.trouble);
+      this.choose(kind);
+      const chosen = this.panels.shape.querySelector("input:checked");
+      if (kind === "shape") this.changed({ shape: chosen?.value ?? this.shapes[0] });
+      if (kind === "text" && this.word.value) this.changed({ shape: TEXT + this.word.value });
+    };
+    const input = h("input", { type: "radio", name: `${this.role}-kind`, value: kind, on: { change } });
+    return { input, element: h("label", { class: "segment" }, input, h("span", null, text)) };
+  }
+
+  filePanel() {
+    this.known = new Map();
+    this.sending = h("div", { class: "stack" });
+    this.picker = h("input", {
+      type: "file",
+      id: `${this.role}-file`,
+      accept: ACCEPTED,
+      class: "visually-hidden",
+      "aria-label": `Mesh file of the ${this.role}`,
+      on: { change: (event) => event.target.files[0] && this.take(event.target.files[0]) },
+    });
+    const change = (event) => event.target.value && this.changed({ mesh: event.target.value });
+    this.earlier = h("select", { id: `${this.role}-earlier`, on: { change } });
+    this.earlierField = h(
+      "div",
+      { class: "field", hidden: true },
+      h("label", { for: `${this.role}-earlier` }, "Or a mesh sent before"),
+      this.earlier,
+    );
+    get("/meshes", { query: { limit: EARLIER }, signal: this.signal }).then(
+      ({ items }) => {
+        for (const mesh of items) if (!this.known.has(mesh.id)) this.known.set(mesh.id, mesh);
+        this.listEarlier();
+      },
+      () => {}, // without the list one can still send a file
+    );
+    return h(
+      "div",
+      { class: "stack" },
+      h(
+        "div",
+        null,
+        this.picker,
+        h(
+          "label",
+          { class: "drop", for: `${this.role}-file` },
+          h("span", null, "Drop a mesh here, or ", h("span", { class: "as-link" }, "choose a file")),
+          h("span", { class: "quiet small" }, "OBJ, PLY, STL, OFF or GLB"),
+        ),
+      ),
+      this.sending,
+      this.earlierField,
+    );
+  }
+
+  listEarlier() {
+    const chosen = this.known.has(this.address) ? this.address : "";
+    fill(
+      this.earlier,
+      h("option", { value: "" }, "Choose"),
+      [...this.known.values()].map((mesh) => h("option", { value: mesh.id }, mesh.name)),
+    );
+    this.earlier.value = chosen;
+    this.earlierField.hidden = this.known.size === 0;
+  }
+
+  shapePanel(shapes) {
+    this.shapes = shapes.map(({ name }) => name);
+    const change = (event) => this.changed({ shape: event.target.value });
+    return h(
+      "fieldset",
+      null,
+      h("legend", { class: "visually-hidden" }, `Built-in shape of the ${this.role}`),
+      h(
+        "div",
+        { class: "row" },
+        this.shapes.map((name) =>
+          h(
+            "label",
+            { class: "choice pill" },
+            h("input", { type: "radio", name: `${this.role}-shape`, value: name, on: { change } }),
+            name,
+          ),
+        ),
+      ),
+    );
+  }
+
+  textPanel() {
+    const trouble = h("p", { class: "fault", role: "alert", id: `${this.role}-text-fault` });
+    const change = () => {
+      const fine = this.word.checkValidity();
+      fill(trouble, fine ? "" : "Give up to 58 letters and digits without spaces.");
+      this.word.toggleAttribute("aria-invalid", false);
+      if (!fine) this.word.setAttribute("aria-invalid", "true");
+      else this.changed({ shape: TEXT + this.word.value });
+    };
+    this.word = h("input", {
+      id: `${this.role}-text`,
+      type: "text",
+      required: true,
+      pattern: "[A-Za-z0-9]{1,58}",
+      maxlength: 58,
+      autocomplete: "off",
+      spellcheck: "false",
+      "aria-describedby": `${this.role}-text-hint ${this.role}-text-fault`,
+      on: { change },
+    });
+    return h(
+      "div",
+      { class: "field" },
+      h("label", { for: `${this.role}-text` }, "Word"),
+      this.word,
+      h("p", { class: "hint", id: `${this.role}-text-hint` }, "Its letters are made solid."),
+      trouble,
+    );
+  }
+
+  async describe(id) {
+    try {
+      const mesh = this.known.get(id) ?? (await get(`/meshes/${id}`, { signal: this.signal }));
+      this.known.set(id, mesh);
+      this.listEarlier();
+      if (this.address === id) fill(this.report, report(mesh));
+    } catch (error) {
+      if (error.name !== "Problem") throw error;
+      fill(this.trouble, problem(error));
+    }
+  }
+
+  takeDrops() {
+    const over = (on) => (event) => {
+      if (!event.dataTransfer?.types.includes("Files")) return;
+      event.preventDefault();
+      this.element.classList.toggle("over", on);
+    };
+    this.element.addEventListener("dragover", over(true));
+    this.element.addEventListener("dragleave", over(false));
+    this.element.addEventListener("drop", (event) => {
+      over(false)(event);
+      if (event.dataTransfer?.files[0]) this.take(event.dataTransfer.files[0]);
+    });
+  }
+}
+
+function report({ name, report: seen }) {
+  const parts = seen.component_count > 1 ? `, ${plural(seen.component_count, "part")}` : "";
+  return h(
+    "p",
+    { class: "small" },
+    h("strong", null, name),
+    `: ${count(seen.face_count)} triangles${parts}, ${seen.watertight ? "closed" : "open"}`,
+    !seen.fits_domain && "; larger than the domain, so choose a way to fit below",
+  );
+}

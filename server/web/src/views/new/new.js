@@ -1,0 +1,194 @@
+/** A new morph: two shapes, how to move between them, and off it goes. */
+
+import { get, post } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { bytes, duration, plural } from "../../format.js";
+import { freshKey } from "../../idempotency.js";
+import { go, keep, problem, title } from "../../router.js";
+import { Chooser } from "./chooser.js";
+import { flat, fromJob, fromQuery, toQuery, toRequest } from "./draft.js";
+import { Methods } from "./methods.js";
+import { settings } from "./schema.js";
+import { Settings } from "./settings.js";
+import "./new.css";
+
+const MAIN = {
+  frames: "Frames",
+  "sampling.points_per_cell_edge": "Particles per cell edge",
+  "sampling.fit": "Fit into the domain",
+};
+
+export async function show(root, params, signal) {
+  title("New morph");
+  fill(root, h("h1", null, "New morph"), h("p", { class: "quiet", role: "status" }, "One moment."));
+  const [methods, presets, shapes, schema] = await Promise.all(
+    ["/methods", "/presets", "/shapes", "/schemas/config"].map((path) => get(path, { signal })),
+  );
+  const draft = params.like ? await like(params.like, signal) : fromQuery(params);
+  if (draft.methods.length === 0) draft.methods = [methods[0].name];
+  const form = new Form({ methods, presets, shapes, schema }, draft, signal);
+  fill(root, form.element);
+  await form.changed({});
+}
+
+async function like(id, signal) {
+  const [job, config] = await Promise.all([
+    get(`/jobs/${id}`, { signal }),
+    get(`/jobs/${id}/config`, { signal }),
+  ]);
+  const preset = await get(`/presets/${job.preset}`, { signal });
+  return fromJob(job, config, preset.config);
+}
+
+class Form {
+  constructor({ methods, presets, shapes, schema }, draft, signal) {
+    Object.assign(this, { draft, signal });
+    this.key = freshKey();
+    this.presets = new Map();
+    const choose = (role) => (shape) => this.changed({ [role]: shape });
+    this.source = new Chooser("source", "From", shapes, choose("source"), signal);
+    this.target = new Chooser("target", "To", shapes, choose("target"), signal);
+    this.methods = new Methods(methods, (names) => this.changed({ methods: names }));
+    this.settings = new Settings(settings(schema), MAIN, (path, value) => this.set(path, value));
+    this.preset = this.presetField(presets);
+    this.name = h("input", {
+      id: "name",
+      type: "text",
+      maxlength: 200,
+      autocomplete: "off",
+      on: { change: (event) => this.changed({ name: event.target.value.trim() }) },
+    });
+    this.trouble = h("div");
+    this.cost = h("p", { class: "quiet" });
+    this.submit = h("button", { class: "primary", type: "submit" });
+    this.element = h(
+      "form",
+      { class: "stack new", novalidate: true, on: { submit: (event) => this.send(event) } },
+      h("h1", null, "New morph"),
+      h("div", { class: "shapes" }, this.source.element, this.target.element),
+      h("section", { class: "stack part" }, this.methods.element),
+      h(
+        "section",
+        { class: "stack part" },
+        h("h2", null, "Run"),
+        h(
+          "div",
+          { class: "grid" },
+          this.preset.element,
+          this.settings.main,
+          h(
+            "div",
+            { class: "field" },
+            h("label", { for: "name" }, "Name"),
+            this.name,
+            h("p", { class: "hint" }, "For your own use; may stay empty."),
+          ),
+        ),
+      ),
+      this.settings.element,
+      this.trouble,
+      h("div", { class: "spread send" }, this.cost, this.submit),
+    );
+  }
+
+  /** Take a change into the draft, keep it in the address, and show it. */
+  async changed(change) {
+    this.draft = { ...this.draft, ...change };
+    this.key = freshKey();
+    keep(toQuery(this.draft));
+    const { source, target, methods, preset, name, overrides } = this.draft;
+    const values = await this.valuesOf(preset);
+    if (this.signal.aborted || this.draft.preset !== preset) return;
+    this.settings.show(values, overrides);
+    const value = (path) => overrides[path] ?? values[path];
+    const sampling = {
+      pointsPerCellEdge: value("sampling.points_per_cell_edge"),
+      fit: value("sampling.fit"),
+    };
+    this.source.show(source, sampling);
+    this.target.show(target, sampling);
+    this.methods.show(methods);
+    this.preset.show(preset);
+    if (document.activeElement !== this.name) this.name.value = name;
+    const jobs = methods.length;
+    fill(this.submit, jobs === 1 ? "Morph" : `Morph with ${jobs} methods`);
+    this.showCost(source, sampling.pointsPerCellEdge, value("frames"));
+  }
+
+  set(path, value) {
+    const { [path]: before, ...overrides } = this.draft.overrides;
+    if (value !== undefined) overrides[path] = value;
+    this.changed({ overrides });
+  }
+
+  async valuesOf(preset) {
+    if (!this.presets.has(preset)) {
+      const { config } = await get(`/presets/${preset}`, { signal: this.signal });
+      this.presets.set(preset, flat(config));
+    }
+    return this.presets.get(preset);
+  }
+
+  presetField(presets) {
+    const hint = h("p", { class: "hint", id: "preset-hint" });
+    const select = h(
+      "select",
+      {
+        id: "preset",
+        "aria-describedby": "preset-hint",
+        on: { change: (event) => this.changed({ preset: event.target.value }) },
+      },
+      presets.map(({ name }) => h("option", { value: name }, name)),
+    );
+    const element = h(
+      "div",
+      { class: "field" },
+      h("label", { for: "preset" }, "Preset"),
+      select,
+      hint,
+    );
+    const show = (name) => {
+      select.value = name;
+      fill(hint, presets.find((one) => one.name === name)?.description);
+    };
+    return { element, show };
+  }
+
+  async showCost(source, edge, frames) {
+    fill(this.cost);
+    if (!source.mesh) return;
+    const mesh = await get(`/meshes/${source.mesh}`, { signal: this.signal }).catch(() => null);
+    const seen = mesh?.report.resolutions.find((one) => one.points_per_cell_edge === edge);
+    if (!seen || this.draft.source !== source) return;
+    const { seconds, memory_mb: memory } = seen.estimate;
+    fill(
+      this.cost,
+      `Usually about ${duration(seconds)} for 40 frames, and ${bytes(memory * 1e6)} of memory`,
+      frames === 40 ? "." : `; you ask for ${plural(frames, "frame")}.`,
+    );
+  }
+
+  async send(event) {
+    event.preventDefault();
+    const { wrong } = this.settings;
+    if (wrong) {
+      if (this.settings.element.contains(wrong.element)) this.settings.element.open = true;
+      return wrong.input.focus();
+    }
+    if (this.sending) return; // a double click is one job
+    this.sending = true;
+    this.submit.setAttribute("aria-disabled", "true");
+    fill(this.trouble);
+    try {
+      const [path, body] = toRequest(this.draft);
+      const made = await post(path, body, { idempotencyKey: this.key, signal: this.signal });
+      go(path === "/jobs" ? `/jobs/${made.id}` : `/?sweep=${made.id}`);
+    } catch (error) {
+      if (error.name !== "Problem") throw error;
+      if (!this.settings.fault(error)) fill(this.trouble, problem(error));
+    } finally {
+      this.sending = false;
+      this.submit.removeAttribute("aria-disabled");
+    }
+  }
+}

@@ -1,0 +1,70 @@
+/** The particles of a shape before they move. */
+
+import { points } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { plural } from "../../format.js";
+import { problem } from "../../router.js";
+
+const PATIENCE = 250; // [ms] of quiet before particles are asked for
+
+/** A small 3D view of the particles that a shape becomes, how many, and what is odd about them. */
+export class Preview {
+  constructor(label, signal) {
+    this.label = label;
+    this.signal = signal;
+    this.scene = h("div", { class: "scene preview", tabindex: "0", role: "application", "aria-label": label });
+    this.count = h("p", { class: "count small quiet", role: "status" });
+    this.warnings = h("div", { class: "stack" });
+    this.asking = new AbortController();
+    signal.addEventListener("abort", () => {
+      this.asking.abort();
+      this.viewer?.dispose();
+    });
+  }
+
+  /** Show the particles of a shape at a number of points per cell edge and a way to fit. */
+  show(shape, { pointsPerCellEdge, fit }) {
+    const wanted = JSON.stringify([shape, pointsPerCellEdge, fit]);
+    if (wanted === this.wanted) return;
+    this.wanted = wanted;
+    this.asking.abort();
+    this.asking = new AbortController();
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.ask(shape, pointsPerCellEdge, fit, this.asking.signal), PATIENCE);
+  }
+
+  async ask(shape, edge, fit, signal) {
+    const path = shape.mesh
+      ? `/meshes/${shape.mesh}/particles`
+      : `/shapes/${encodeURIComponent(shape.shape)}/particles`;
+    this.scene.setAttribute("aria-busy", "true");
+    fill(this.count, "Filling the shape with particles");
+    try {
+      const query = { points_per_cell_edge: edge, fit };
+      const { positions, count, headers } = await points(path, { query, signal });
+      fill(this.count, plural(count, "particle"));
+      const warnings = JSON.parse(headers.get("Morph-Warnings") ?? "[]");
+      fill(this.warnings, warnings.map((text) => h("p", { class: "notice warn" }, text)));
+      await this.draw(positions);
+    } catch (error) {
+      if (signal.aborted || this.signal.aborted) return;
+      if (error.name !== "Problem") throw error;
+      fill(this.count);
+      fill(this.warnings, problem(error));
+    } finally {
+      this.scene.removeAttribute("aria-busy");
+    }
+  }
+
+  async draw(positions) {
+    if (!this.viewer) {
+      const { Viewer } = await import("../../viewer/viewer.js");
+      if (this.signal.aborted) return;
+      this.viewer ??= new Viewer(this.scene, {
+        reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches,
+      });
+    }
+    this.viewer.canvas.setAttribute("aria-label", this.label);
+    this.viewer.setFrame(0, positions);
+  }
+}

@@ -1,0 +1,107 @@
+/** All settings in groups, closed until somebody wants them. */
+
+import { fill, h } from "../../dom.js";
+import { plural } from "../../format.js";
+import { Setting } from "./setting.js";
+
+const ELSEWHERE = new Set(["preset", "method"]);
+
+/** The settings of the form: a few beside the form's own fields, all others behind a summary. */
+export class Settings {
+  /**
+   * @param {Array<object>} abouts as `settings` of schema.js makes them
+   * @param {Record<string, string>} main titles of the settings that stand outside, by path
+   * @param {(path: string, value: any) => void} changed hears a value, undefined for the preset's
+   */
+  constructor(abouts, main, changed) {
+    this.fields = new Map();
+    const groups = new Map();
+    for (const about of abouts) {
+      if (ELSEWHERE.has(about.path)) continue;
+      const title = main[about.path];
+      const field = new Setting(about, (value) => changed(about.path, value), { title });
+      this.fields.set(about.path, field);
+      if (title) continue;
+      if (!groups.has(about.group)) groups.set(about.group, { meaning: about.groupMeaning, fields: [] });
+      groups.get(about.group).fields.push(field);
+    }
+    this.main = Object.keys(main).map((path) => this.fields.get(path).element);
+    this.groups = [...groups].map(([name, group]) => ({ ...group, element: section(name, group) }));
+    this.count = h("span", { class: "quiet small" });
+    this.nothing = h("p", { class: "quiet", hidden: true }, "No setting is called that.");
+    const find = h("input", {
+      type: "search",
+      id: "find-setting",
+      autocomplete: "off",
+      on: { input: (event) => this.find(event.target.value.trim().toLowerCase()) },
+    });
+    this.element = h(
+      "details",
+      { class: "panel advanced" },
+      h("summary", null, h("h2", null, "All settings"), this.count),
+      h(
+        "div",
+        { class: "stack" },
+        h("div", { class: "field" }, h("label", { for: "find-setting" }, "Find a setting"), find),
+        this.nothing,
+        this.groups.map(({ element }) => element),
+      ),
+    );
+  }
+
+  /** Show the values of a preset with overrides. */
+  show(preset, overrides) {
+    for (const [path, field] of this.fields) {
+      const value = path in overrides ? overrides[path] : preset[path];
+      field.show(value, preset[path]);
+    }
+    const size = Object.keys(overrides).length;
+    fill(this.count, size ? `${plural(size, "setting")} changed` : "");
+  }
+
+  /** The first setting with a fault, if any. */
+  get wrong() {
+    return [...this.fields.values()].find((field) => field.wrong);
+  }
+
+  /**
+   * Put a problem of the service beside the settings that it names.
+   *
+   * @returns {boolean} whether it names one
+   */
+  fault(problem) {
+    let first = null;
+    const named = new Map(problem.errors.map(({ loc, msg }) => [loc.join("."), `${msg}.`]));
+    for (const [path, field] of this.fields) {
+      const [, text] = problem.message.split(`${path} = `);
+      const said = text?.split(";")[0] ?? named.get(path) ?? named.get(`overrides.${path}`);
+      if (!said) continue;
+      field.fault(said, false);
+      first ??= field;
+    }
+    if (!first) return false;
+    if (this.element.contains(first.element)) this.element.open = true;
+    first.input.focus();
+    return true;
+  }
+
+  find(text) {
+    let any = false;
+    for (const { fields, element } of this.groups) {
+      for (const field of fields) field.element.hidden = !field.matches(text);
+      element.hidden = fields.every((field) => field.element.hidden);
+      any ||= !element.hidden;
+    }
+    this.nothing.hidden = any;
+  }
+}
+
+function section(name, { meaning, fields }) {
+  return h(
+    "fieldset",
+    { class: "group" },
+    h("legend", null, h("h3", null, name)),
+    meaning && h("p", { class: "quiet small" }, meaning),
+    h("div", { class: "grid" }, fields.map((field) => field.element)),
+  );
+}

@@ -1,0 +1,90 @@
+"""`morph export` and `morph render` as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import trimesh
+
+from morph_engine.presets import configure
+from morph_engine.run_record import RunRecord
+from morph_engine.spool import Spool
+from morph_engine.trajectory import write_result
+
+MORPH = Path(sys.executable).with_name("morph")
+GENERATOR = np.random.default_rng(3)
+SOURCE = GENERATOR.uniform(-2, 2, (600, 3)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """A box of particles that rises in two frames."""
+    config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 2})
+    record = RunRecord(config.model_dump(mode="json"), SOURCE, SOURCE, SOURCE, SOURCE)
+    path = tmp_path_factory.mktemp("result") / "box.vtkhdf"
+    with Spool.create(path, record) as spool:
+        for frame in range(2):
+            spool.append(frame, SOURCE + np.float32([0, frame, 0]), {"s2t": float(frame)})
+        write_result(spool, status="complete")
+        spool.remove()
+    return path
+
+
+def morph(*arguments, cwd):
+    """Run the command and capture what it prints."""
+    return subprocess.run(
+        [MORPH, *map(str, arguments)], cwd=cwd, timeout=120, capture_output=True, text=True
+    )
+
+
+def test_the_ending_names_the_format(result, tmp_path):
+    """One frame in a .ply, all metrics in a .csv, a zip where it is said what of."""
+    assert morph("export", result, "-o", "last.ply", cwd=tmp_path).returncode == 0
+    cloud = trimesh.load(tmp_path / "last.ply")
+    np.testing.assert_allclose(cloud.vertices, SOURCE + np.float32([0, 1, 0]), atol=1e-6)
+    assert morph("export", result, "-o", "metrics.csv", cwd=tmp_path).returncode == 0
+    with (tmp_path / "metrics.csv").open() as file:
+        assert [row["s2t"] for row in csv.DictReader(file)] == ["0.0", "1.0"]
+    outcome = morph("export", result, "-o", "all.zip", "--format", "obj", "--json", cwd=tmp_path)
+    assert json.loads(outcome.stdout)["out"] == "all.zip"
+    with zipfile.ZipFile(tmp_path / "all.zip") as archive:
+        assert len(archive.namelist()) == 2
+
+
+def test_render_makes_a_video(result, tmp_path):
+    """An MP4 of the size asked for."""
+    outcome = morph(
+        "render", result, "-o", "box.mp4", "--size", "64x48", "--color", "speed", cwd=tmp_path
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    with av.open(str(tmp_path / "box.mp4")) as video:
+        assert (video.streams.video[0].width, video.streams.video[0].height) == (64, 48)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("export", "RESULT", "-o", "x.zip"), "--format"),
+        (("export", "RESULT", "-o", "x.stl"), "surface"),
+        (("export", "RESULT", "-o", "x.ply", "--frames", "5-2"), "0,5,10-20"),
+        (("export", "RESULT", "-o", "x.ply", "--fields", "det_f"), "joint and physics"),
+        (("export", "gone.vtkhdf", "-o", "x.ply"), "Check the path"),
+        (("render", "RESULT", "-o", "x.mp4", "--size", "big"), "960x720"),
+    ],
+)
+def test_refusals_have_cause_and_remedy(result, tmp_path, arguments, word):
+    """Exit status 2, two lines, no traceback, and no file."""
+    named = [result if argument == "RESULT" else argument for argument in arguments]
+    outcome = morph(*named, cwd=tmp_path)
+    assert outcome.returncode == 2, outcome.stderr
+    lines = outcome.stderr.strip().splitlines()
+    assert len(lines) == 2 and word in outcome.stderr, outcome.stderr
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,260 @@
+"""A real service and a real browser that tolerates no error, no foreign host, no broken policy."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+import trimesh
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+
+ROOT = Path(__file__).resolve().parents[2]
+WEB = ROOT / "server" / "web"
+AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
+
+PATIENCE = 60_000
+"""How long a page may take for anything [ms]; a first job compiles its kernels."""
+
+START_SECONDS = 180
+"""How long the service may take to start; it imports the engine, on a machine that may be busy."""
+
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+
+SHAPES = {"source": {"shape": "sphere"}, "target": {"shape": "star"}}
+COARSE = {"sampling.points_per_cell_edge": 1}
+
+
+@dataclass
+class LiveService:
+    """`morph serve` in a folder of its own.
+
+    Attributes:
+        data_dir: Where it keeps its things.
+        port: Where it listens, also after a restart.
+        workers: Worker slots.
+    """
+
+    data_dir: Path
+    port: int
+    workers: int = 1
+    _process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Its settings as environment variables."""
+        own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
+        return own | {
+            "MORPH_DATA_DIR": str(self.data_dir),
+            "MORPH_PORT": str(self.port),
+            "MORPH_WORKERS": str(self.workers),
+            "MORPH_THREADS": "1",
+        }
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        with (self.data_dir / "service.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "server", "serve"],
+                env=self.environment,
+                stdout=log,
+                stderr=log,
+            )
+        deadline = time.monotonic() + START_SECONDS
+        while time.monotonic() < deadline:
+            try:
+                if self.call("GET", "/readyz").is_success:
+                    return
+            except httpx.TransportError:
+                time.sleep(0.1)
+        pytest.fail((self.data_dir / "service.log").read_text(errors="replace")[-3000:])
+
+    def stop(self) -> None:
+        """Stop it as a user does."""
+        if self._process is not None:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(20)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def call(self, method: str, path: str, **request: Any) -> httpx.Response:
+        """Call the API."""
+        return httpx.request(method, self.url + path, timeout=30, **request)
+
+    def submit(self, **request: Any) -> str:
+        """Queue a small job, sphere to star in three frames if nothing else is said."""
+        body = {"method": "physics", "frames": 3, "overrides": COARSE, **SHAPES} | request
+        answer = self.call("POST", "/v1/jobs", json=body)
+        assert answer.is_success, answer.text
+        return str(answer.json()["id"])
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """A job as it stands."""
+        shown: dict[str, Any] = self.call("GET", f"/v1/jobs/{job_id}").json()
+        return shown
+
+    def wait_for(self, job_id: str, *states: str, seconds: float = 180) -> dict[str, Any]:
+        """Wait until a job is in one of some states."""
+        deadline = time.monotonic() + seconds
+        while (job := self.job(job_id))["state"] not in states:
+            if time.monotonic() > deadline:
+                pytest.fail(f"{job_id} is {job['state']} after {seconds} s, not {states}.")
+            time.sleep(0.1)
+        return job
+
+
+@pytest.fixture(scope="session")
+def new_service(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[..., LiveService]]:
+    """Starts services with nothing in them."""
+    if not (WEB / "dist" / "index.html").is_file():
+        pytest.fail("The page is not built. Run `make page` first.")
+    started: list[LiveService] = []
+
+    def start(workers: int = 1) -> LiveService:
+        service = LiveService(tmp_path_factory.mktemp("service"), _free_port(), workers)
+        started.append(service)
+        service.start()
+        return service
+
+    yield start
+    for service in started:
+        service.stop()
+
+
+@pytest.fixture(scope="session")
+def service(new_service: Callable[..., LiveService]) -> LiveService:
+    """One service for all tests that do not mind the jobs of others."""
+    return new_service()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium without a window, drawing WebGL in software."""
+    path = os.environ.get("MORPH_CHROMIUM") or shutil.which("chromium")
+    if path is None:
+        pytest.fail("There is no chromium. Install it, or name it in MORPH_CHROMIUM.")
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def new_page(browser: Browser, service: LiveService) -> Iterator[Callable[..., Page]]:
+    """Opens pages, each in a browser profile of its own, that may do nothing wrong.
+
+    Its arguments are those of Playwright's `new_context`, and `of`, another service.
+    """
+    faults: list[str] = []
+    contexts: list[BrowserContext] = []
+
+    def open_page(*, of: LiveService = service, **options: Any) -> Page:
+        options = {"viewport": {"width": 1400, "height": 900}, "base_url": of.url} | options
+        context = browser.new_context(**options)
+        contexts.append(context)
+        context.set_default_timeout(PATIENCE)
+        _watch(context, of, faults)
+        return context.new_page()
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert faults == []
+
+
+@pytest.fixture
+def page(new_page: Callable[..., Page]) -> Page:
+    """A page of 1400 x 900 pixels."""
+    return new_page()
+
+
+@pytest.fixture
+def serious_faults() -> Callable[[Page], list[str]]:
+    """What axe-core finds on a page that is serious or critical, one line each."""
+    script = AXE.read_text(encoding="utf-8")
+
+    def find(page: Page) -> list[str]:
+        page.evaluate(script)
+        found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        return [
+            f"{rule['id']}: {node['html'][:200]} ({node['failureSummary']})"
+            for rule in found["violations"]
+            if rule["impact"] in ("serious", "critical")
+            for node in rule["nodes"]
+        ]
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def mesh_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Mesh files: a ball and a box that work, and a sheet that bounds no volume."""
+    folder = tmp_path_factory.mktemp("meshes")
+    shapes = {
+        "ball.obj": trimesh.creation.icosphere(subdivisions=2, radius=6.0),
+        "box.stl": trimesh.creation.box((9.0, 9.0, 9.0)),
+        "sheet.obj": trimesh.Trimesh([[0, 0, 0], [5, 0, 0], [0, 5, 0]], [[0, 1, 2]]),
+    }
+    for name, mesh in shapes.items():
+        mesh.export(folder / name)
+    return {name: folder / name for name in shapes}
+
+
+def _watch(context: BrowserContext, service: LiveService, faults: list[str]) -> None:
+    """Note errors in the console, breaches of the policy and requests to other hosts."""
+
+    def hear(message: Any) -> None:
+        # The page shows refusals of the API as sentences; the browser logs them as well.
+        answer = message.text.startswith("Failed to load resource")
+        if message.type == "error" and not (answer and _own(message.location["url"])):
+            faults.append(f"{message.text} at {message.location}")
+
+    def _own(url: str) -> bool:
+        path = urlsplit(url).path
+        return url.startswith(service.url) and (path.startswith("/v1/") or path == "/readyz")
+
+    def look(request: Any) -> None:
+        if not request.url.startswith((service.url, "blob:", "data:")):
+            faults.append(f"a request to {request.url}")
+
+    context.on("console", hear)
+    context.on("weberror", lambda error: faults.append(str(error.error)))
+    context.on("request", look)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,116 @@
+"""Jobs side by side: one camera, one time, one scale of colours, and who is better."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+pytestmark = pytest.mark.browser
+
+SETTLED = 800
+"""After this long [ms] a picture is drawn in full, also where drawing is slow."""
+
+
+@pytest.fixture(scope="module")
+def jobs(service):
+    """Two jobs that differ in their method and in their length."""
+    made = [
+        service.submit(name="by distance", method="dco", frames=4),
+        service.submit(name="by density", method="dcd", frames=3),
+    ]
+    for job in made:
+        service.wait_for(job, "succeeded", seconds=180)  # a first job compiles its kernels
+    return made
+
+
+@pytest.fixture
+def compared(page, jobs) -> Page:
+    """Both in sight."""
+    page.goto(f"/compare?jobs={','.join(jobs)}")
+    expect_frames(page, "4 of 4", "3 of 3")
+    return page
+
+
+def expect_frames(page: Page, *frames: str) -> None:
+    """Wait until the views show these frames."""
+    for i, words in enumerate(frames):
+        canvas = page.locator(".scene canvas").nth(i)
+        expect(canvas).to_have_attribute("aria-label", re.compile(f"^Frame {words}, "))
+
+
+def pictures(page: Page) -> list[Image.Image]:
+    """What the views show."""
+    page.wait_for_timeout(SETTLED)
+    return [Image.open(io.BytesIO(view.screenshot())) for view in page.locator(".scene").all()]
+
+
+def test_time_is_one(compared):
+    """A step is a step in both; the shorter one waits at its end."""
+    compared.get_by_role("slider", name="Frame").fill("1")
+    expect_frames(compared, "2 of 4", "2 of 3")
+    compared.get_by_role("slider", name="Frame").fill("3")
+    expect_frames(compared, "4 of 4", "3 of 3")
+
+
+def test_the_camera_is_one(compared):
+    """Who turns one view turns the other."""
+    before = pictures(compared)
+    compared.locator(".scene").first.focus()
+    for _ in range(6):
+        compared.keyboard.press("ArrowLeft")
+    after = pictures(compared)
+    assert after[0] != before[0]
+    assert after[1] != before[1]
+
+
+def test_the_scale_of_colours_is_one(compared):
+    """The same colour is the same value in both."""
+    compared.get_by_label("Colour", exact=True).select_option("displacement")
+    scales = compared.locator(".legend-ticks")
+    expect(scales).to_have_count(2)
+    expect(compared.locator(".legend-label").nth(1)).to_have_text("Displacement dx")
+    compared.wait_for_timeout(SETTLED)
+    assert scales.nth(0).inner_text() == scales.nth(1).inner_text()
+
+
+def test_the_table_says_who_is_better(compared, jobs, service):
+    """Differences to the first job are those of the metrics, with the right word."""
+    ends = [service.job(job)["outcome"]["metrics"]["two_sided"] for job in jobs]
+    row = compared.get_by_role("row").filter(has_text="Chamfer distance")
+    expect(row.get_by_role("cell").nth(1)).to_contain_text(
+        "better" if ends[1] < ends[0] else "worse"
+    )
+    expect(compared.locator(".charts .chart").first).to_contain_text("by density")
+
+
+def test_a_job_is_compared_from_its_own_page(page, jobs):
+    """The dialog of a job's page leads here."""
+    page.goto(f"/jobs/{jobs[0]}")
+    page.get_by_role("button", name="Compare with…").click()
+    page.get_by_role("dialog").get_by_label(re.compile("^by density")).check()
+    page.get_by_role("dialog").get_by_role("button", name="Compare").click()
+    expect(page.get_by_role("heading", name="Compare", exact=True)).to_be_visible()
+    expect_frames(page, "4 of 4", "3 of 3")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(jobs, new_page, serious_faults, scheme):
+    """No serious finding of axe-core."""
+    page = new_page(color_scheme=scheme)
+    page.goto(f"/compare?jobs={','.join(jobs)}")
+    expect_frames(page, "4 of 4", "3 of 3")
+    assert serious_faults(page) == []
+
+
+def test_a_phone_needs_no_sideways_scroll(jobs, new_page):
+    """At 390 px the views lie under each other."""
+    page = new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+    page.goto(f"/compare?jobs={','.join(jobs)}")
+    expect_frames(page, "4 of 4", "3 of 3")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    tops = [view.bounding_box()["y"] for view in page.locator(".scene").all()]
+    assert tops[1] > tops[0] + 300

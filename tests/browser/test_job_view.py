@@ -1,0 +1,266 @@
+"""The page of a job: seen in 3D, in curves and in words, from its first frame to its files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import time
+from pathlib import Path
+
+import h5py
+import pytest
+import trimesh
+from PIL import Image, ImageChops
+from playwright.sync_api import Page, expect
+
+pytestmark = pytest.mark.browser
+
+FRAMES = 4
+MANY = 2000
+"""Frames of a job that lasts until it is cancelled."""
+
+COMPILING = 180
+"""A first job compiles its kernels for as long [s] on a busy machine."""
+
+PATIENCE = 60
+"""How long a picture may take to change [s]."""
+
+SETTLED = 800
+"""After this long [ms] a picture is drawn in full, also where drawing is slow."""
+
+
+@pytest.fixture(scope="module")
+def done(service):
+    """A job of a few frames that is done."""
+    job = service.submit(name="a job to look at", frames=FRAMES, method="dco")
+    service.wait_for(job, "succeeded", seconds=COMPILING)
+    return job
+
+
+@pytest.fixture
+def opened(page, done) -> Page:
+    """Its page, with the last frame in sight."""
+    page.goto(f"/jobs/{done}")
+    expect_frame(page, FRAMES)
+    return page
+
+
+def expect_frame(page: Page, number: int, of: int = FRAMES) -> None:
+    """Wait until a frame is to be seen, and said in words."""
+    canvas = page.locator(".scene canvas").first
+    words = rf"^Frame {number} of {of}, Chamfer distance \d.* dx, coverage \d+\s%\.$"
+    expect(canvas).to_have_attribute("aria-label", re.compile(words))
+
+
+def picture(page: Page, which: int = 0) -> Image.Image:
+    """What a 3D view shows."""
+    page.wait_for_timeout(SETTLED)
+    return Image.open(io.BytesIO(page.locator(".scene").nth(which).screenshot())).convert("RGB")
+
+
+def changed(page: Page, before: Image.Image) -> Image.Image:
+    """Wait until a 3D view shows something else, and return it."""
+    deadline = time.monotonic() + PATIENCE
+    while (now := picture(page)) == before:
+        assert time.monotonic() < deadline, "The picture stays the same."
+    return now
+
+
+def drawn(image: Image.Image) -> float:
+    """Share of a picture that is not background."""
+    background = Image.new("RGB", image.size, image.getpixel((5, image.height - 5)))
+    changed = ImageChops.difference(image, background).convert("L").point(lambda v: 255 * (v > 8))
+    return sum(changed.histogram()[255:]) / (image.width * image.height)
+
+
+def saved(page: Page, label: str | re.Pattern[str], folder: Path) -> Path:
+    """What a button lets the browser save."""
+    with page.expect_download() as download:
+        page.get_by_role("button", name=label).click()
+    path = folder / download.value.suggested_filename
+    download.value.save_as(path)
+    return path
+
+
+def test_a_job_is_watched_to_its_end(service, page):
+    """Frames, curves and state arrive by themselves, and the newest frame is in sight."""
+    job = service.submit(name="watched", frames=FRAMES, method="dco")
+    page.goto(f"/jobs/{job}")
+    expect(page.locator(".summary")).to_contain_text(re.compile("Queued|Running"))
+    service.wait_for(job, "succeeded", seconds=COMPILING)
+    expect(page.locator(".summary")).to_contain_text("Succeeded")
+    expect_frame(page, FRAMES)
+    expect(page.locator(".timeline output")).to_have_text(f"{FRAMES} / {FRAMES}")
+    expect(
+        page.get_by_role("img", name=re.compile("^Chamfer distance over frames"))
+    ).to_be_visible()
+    expect(page.locator(".history")).to_contain_text("Attempt 1 began.")
+    assert 0.05 < drawn(picture(page)) < 0.9
+
+
+def test_the_timeline_scrubs_steps_and_plays(opened):
+    """Another frame is another picture; playing ends at the last one."""
+    last = picture(opened)
+    opened.get_by_role("slider", name="Frame").fill("0")
+    expect_frame(opened, 1)
+    changed(opened, last)
+    opened.get_by_role("button", name="One frame on").click()
+    expect_frame(opened, 2)
+    opened.get_by_role("button", name="Play").click()
+    expect_frame(opened, FRAMES)
+    expect(opened.get_by_role("button", name="Play")).to_be_visible()
+    assert picture(opened) == last
+
+
+def test_a_cut_hides_half_of_it(opened):
+    """The cutting plane takes away what lies beyond it; nothing is left beyond everything."""
+    whole = drawn(picture(opened))
+    opened.get_by_label("Cut", exact=True).select_option("x")
+    half = drawn(picture(opened))
+    assert 0.3 * whole < half < 0.9 * whole
+    opened.get_by_label("Position of the cut").fill("-14")
+    expect(opened.locator(".cut-reading")).to_have_text("x = -14.0 dx")
+    assert drawn(picture(opened)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("colour", "legend"),
+    [("displacement", "Displacement dx"), ("density", "Density, of the target's ratio")],
+)
+def test_colours_come_with_a_scale(opened, colour, legend):
+    """Values of the page's own and of the service colour the particles, with name and unit."""
+    opened.get_by_label("Colour", exact=True).select_option("none")
+    plain = picture(opened)
+    expect(opened.locator(".legend")).to_be_hidden()
+    opened.get_by_label("Colour", exact=True).select_option(colour)
+    expect(opened.locator(".legend-label")).to_have_text(legend)
+    expect(opened.locator(".legend-ticks span")).to_have_count(5)
+    changed(opened, plain)
+
+
+def test_a_surface_and_the_target_are_shown(opened):
+    """The surface says how far it is from the target; the target's lines lie around it."""
+    opened.get_by_label("Show as").select_option("surface")
+    expect(opened.locator(".scene-note")).to_contain_text(re.compile(r"surface, 0\.\d+ dx from"))
+    without = picture(opened)
+    opened.get_by_label("Target").select_option("wireframe")
+    changed(opened, without)
+
+
+def test_pictures_and_films_are_saved(opened, tmp_path):
+    """The picture is a PNG of the view, the films are WebM."""
+    shot = saved(opened, "Picture, PNG", tmp_path)
+    with Image.open(shot) as image:
+        assert image.format == "PNG"
+        assert min(image.size) > 200
+    film = saved(opened, "Film of the frames, WebM", tmp_path)
+    assert film.suffix == ".webm"
+    assert film.read_bytes().startswith(b"\x1aE\xdf\xa3")
+    expect(opened.get_by_role("button", name="Film of the frames, WebM")).to_be_enabled()
+
+
+def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service):
+    """The result, the numbers and an export of the frame shown are whole files."""
+    particles = service.job(done)["outcome"]["particle_count"]
+    with h5py.File(saved(opened, re.compile("^Result"), tmp_path)) as result:
+        assert result["VTKHDF/Steps"].attrs["NSteps"] == FRAMES
+    rows = csv.DictReader(saved(opened, "Metrics, CSV", tmp_path).read_text().splitlines())
+    assert [row["frame"] for row in rows] == [str(i) for i in range(FRAMES)]
+    opened.get_by_label("Format").select_option("ply")
+    opened.get_by_role("button", name="Export").click()
+    cloud = trimesh.load(saved(opened, re.compile(r"^Save .*\.ply"), tmp_path))
+    assert len(cloud.vertices) == particles
+
+
+def test_the_numbers_are_a_table_too(opened):
+    """Curves are there for people who do not see them."""
+    opened.get_by_text("All numbers as a table").click()
+    table = opened.get_by_role("region", name="Metrics by frame")
+    expect(table.get_by_role("row")).to_have_count(FRAMES + 1)
+    expect(table.get_by_role("columnheader", name="two_sided", exact=True)).to_be_visible()
+
+
+def test_a_restart_of_the_service_loses_nothing(new_service, new_page):
+    """While the service is away the page says so; then it goes on, with every frame."""
+    frames = 12
+    own = new_service()
+    page = new_page(of=own)
+    slow = {"sampling.points_per_cell_edge": 1, "points.steps_per_frame": 400}
+    job = own.submit(name="through a restart", frames=frames, method="dco", overrides=slow)
+    page.goto(f"/jobs/{job}")
+    reading = page.locator(".timeline output")
+    expect(reading).to_have_text(re.compile(r"[1-9]\d* / "), timeout=1000 * COMPILING)
+    notice = page.locator("#main").get_by_text("The service does not answer.")
+    own.stop()
+    expect(notice).to_be_visible()
+    own.start()
+    expect(notice).to_be_hidden()
+    expect(page.locator(".summary")).to_contain_text("Succeeded", timeout=1000 * COMPILING)
+    expect_frame(page, frames, of=frames)
+    page.get_by_text("All numbers as a table").click()
+    rows = page.get_by_role("region", name="Metrics by frame").get_by_role("row")
+    expect(rows).to_have_count(frames + 1)
+
+
+def test_two_tabs_agree(service, new_page):
+    """What one tab does to a job, the other one shows."""
+    job = service.submit(name="seen twice", frames=MANY)
+    one, two = new_page(), new_page()
+    for tab in (one, two):
+        tab.goto(f"/jobs/{job}")
+        expect(tab.locator(".summary")).to_contain_text("Running")
+    one.get_by_role("button", name="Cancel").click()
+    for tab in (one, two):
+        expect(tab.locator(".summary")).to_contain_text("Cancelled")
+    two.get_by_role("button", name="Delete").click()
+    two.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    two.wait_for_url(re.compile(r"/$"))
+    expect(one.get_by_role("alert")).to_contain_text("There is no job")
+
+
+def test_the_keyboard_is_enough(opened):
+    """Camera, time and cut, each reached with the Tab key."""
+
+    def tab_to(selector: str) -> None:
+        for _ in range(60):
+            opened.keyboard.press("Tab")
+            if opened.evaluate("(s) => document.activeElement.matches(s)", selector):
+                return
+        pytest.fail(f"Tab never comes to {selector}.")
+
+    tab_to(".scene")
+    before = picture(opened)
+    for _ in range(5):
+        opened.keyboard.press("ArrowLeft")
+    changed(opened, before)
+    opened.keyboard.press("0")
+    assert picture(opened) == before
+    tab_to(".timeline input[type=range]")
+    opened.keyboard.press("ArrowLeft")
+    expect_frame(opened, FRAMES - 1)
+    opened.keyboard.press("Space")
+    expect_frame(opened, FRAMES)
+    tab_to("#display-axis")
+    opened.keyboard.press("ArrowDown")
+    expect(opened.get_by_label("Position of the cut")).to_be_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(done, new_page, serious_faults, scheme):
+    """No serious finding of axe-core, with everything unfolded."""
+    page = new_page(color_scheme=scheme)
+    page.goto(f"/jobs/{done}")
+    expect_frame(page, FRAMES)
+    page.get_by_text("All numbers as a table").click()
+    page.get_by_text(re.compile(r"^All \d+ settings$")).click()
+    assert serious_faults(page) == []
+
+
+def test_a_phone_needs_no_sideways_scroll(done, new_page):
+    """At 390 px nothing is wider than the screen."""
+    page = new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+    page.goto(f"/jobs/{done}")
+    expect_frame(page, FRAMES)
+    page.get_by_text("All numbers as a table").click()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390

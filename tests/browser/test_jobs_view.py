@@ -1,0 +1,168 @@
+"""The list of jobs, as a person uses it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.browser
+
+MANY = 2000
+"""Frames of a job that lasts until it is cancelled."""
+
+
+@pytest.fixture(scope="module")
+def finished(service):
+    """A job that succeeded."""
+    job = service.submit(name="a finished one")
+    service.wait_for(job, "succeeded")
+    return job
+
+
+def row(page, name):
+    """The row of a job by its name."""
+    return page.get_by_role("row").filter(has=page.get_by_role("link", name=name, exact=True))
+
+
+def test_an_empty_list_invites_to_a_first_morph(new_service, new_page):
+    """One click on an empty page makes a job and shows it."""
+    empty = new_service(workers=0)
+    page = new_page(of=empty)
+    page.goto("/")
+    page.get_by_role("button", name="Morph a sphere into a star").dblclick()
+    page.wait_for_url("**/jobs/*")
+    jobs = empty.call("GET", "/v1/jobs").json()["items"]
+    assert [(job["source_name"], job["target_name"]) for job in jobs] == [("sphere", "star")]
+
+
+def test_a_job_moves_through_the_list_by_itself(service, page):
+    """Without a reload, a job submitted elsewhere appears, ends, and gets its distance."""
+    page.goto("/")
+    expect(page.get_by_role("heading", name="Jobs")).to_be_visible()
+    service.submit(name="seen from afar")
+    found = row(page, "seen from afar")
+    expect(found).to_contain_text("Succeeded")
+    expect(found).to_contain_text("3 frames in")
+    expect(found.locator(".distance")).to_have_text(re.compile(r"\d\.\d+"))
+
+
+def test_cancel_resume_retry_and_delete(service, page):
+    """What a person may do with a job follows from its state, and does what it says."""
+    job = service.submit(name="to be handled", frames=MANY)
+    page.goto("/")
+    found = row(page, "to be handled")
+    found.get_by_role("button", name="Cancel").click()
+    expect(found).to_contain_text("Cancelled")
+    expect(found.get_by_role("button", name="Cancel")).to_have_count(0)
+
+    found.get_by_role("button", name="Resume").click()
+    expect(found).to_contain_text(re.compile("Queued|Running"))
+    service.wait_for(job, "running")
+    found.get_by_role("button", name="Cancel").click()
+    expect(found).to_contain_text("Cancelled")
+
+    service.wait_for(job, "cancelled")
+    found.get_by_role("button", name="Retry").click()
+    confirm = page.get_by_role("dialog").get_by_role("button", name="Retry")
+    expect(confirm.or_(found.get_by_role("button", name="Cancel"))).to_be_visible()
+    if confirm.is_visible():
+        confirm.click()
+    expect(found).to_contain_text(re.compile("Queued|Running"))
+    found.get_by_role("button", name="Cancel").click()
+    expect(found).to_contain_text("Cancelled")
+
+    found.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Keep it").click()
+    expect(found.get_by_role("button", name="Delete")).to_be_focused()
+    found.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    expect(found).to_have_count(0)
+    assert service.call("GET", f"/v1/jobs/{job}").status_code == 404
+
+
+def test_filters_live_in_the_address(service, finished, page):
+    """Filters by state and method choose the rows, and a reload keeps them."""
+    page.goto("/")
+    expect(row(page, "a finished one")).to_be_visible()
+    page.get_by_role("button", name="Failed", exact=True).click()
+    expect(page.get_by_text("No job is like that.")).to_be_visible()
+    page.get_by_role("button", name="Succeeded", exact=True).click()
+    expect(row(page, "a finished one")).to_be_visible()
+    page.get_by_label("Method").select_option("swd")
+    expect(page.get_by_text("No job is like that.")).to_be_visible()
+    page.get_by_label("Method").select_option("physics")
+    expect(row(page, "a finished one")).to_be_visible()
+
+    page.reload()
+    expect(row(page, "a finished one")).to_be_visible()
+    expect(page.get_by_role("button", name="Failed", exact=True)).to_have_attribute(
+        "aria-pressed", "true"
+    )
+    expect(page.get_by_label("Method")).to_have_value("physics")
+
+
+def test_older_jobs_are_on_further_pages(new_service, new_page):
+    """Twenty jobs make a page; the address of the next one works by itself."""
+    crowded = new_service(workers=0)
+    for number in range(22):
+        crowded.submit(name=f"number {number}")
+    page = new_page(of=crowded)
+    page.goto("/")
+    expect(page.get_by_role("link", name=re.compile(r"^number \d+$"))).to_have_count(20)
+    page.get_by_role("link", name="Older").click()
+    expect(page.get_by_role("link", name=re.compile(r"^number \d+$"))).to_have_text(
+        ["number 1", "number 0"]
+    )
+    page.reload()
+    expect(page.get_by_role("link", name=re.compile(r"^number \d+$"))).to_have_count(2)
+    page.get_by_role("link", name="Newest").click()
+    expect(row(page, "number 21")).to_be_visible()
+
+
+def test_two_jobs_are_chosen_for_comparison(service, finished, page):
+    """Two check marks lead to the comparison of these two."""
+    other = service.submit(name="another finished one", method="dco")
+    service.wait_for(other, "succeeded")
+    page.goto("/")
+    page.get_by_role("checkbox", name="Compare a finished one").check()
+    page.get_by_role("checkbox", name="Compare another finished one").check()
+    page.get_by_role("link", name="Compare", exact=True).click()
+    page.wait_for_url(f"**/compare?jobs={finished},{other}")
+
+
+def test_a_lost_service_is_told_and_found_again(new_service, new_page):
+    """While the service is away the page says so, keeps what it showed, and recovers."""
+    frail = new_service(workers=0)
+    frail.submit(name="before the loss")
+    page = new_page(of=frail)
+    page.goto("/")
+    expect(row(page, "before the loss")).to_be_visible()
+    frail.stop()
+    expect(page.get_by_role("alert")).to_contain_text("The service does not answer.")
+    expect(row(page, "before the loss")).to_be_visible()
+    frail.start()
+    expect(page.get_by_role("alert")).to_have_count(0)
+
+
+def test_keys_are_asked_for_and_kept_for_the_tab(new_service, new_page):
+    """With keys, the page asks once, tells that a wrong one is wrong, and survives a reload."""
+    guarded = new_service(workers=0)
+    guarded.submit(name="made before the keys")
+    made = guarded.call("POST", "/v1/keys", json={"name": "boss", "scopes": ["admin"]})
+    page = new_page(of=guarded)
+    page.goto("/")
+    page.get_by_role("button", name="Not now").click()
+    expect(page.get_by_role("alert")).to_contain_text("This needs a key.")
+    page.get_by_role("button", name="Enter key").click()
+    page.get_by_label("API key").fill("not-a-key")
+    page.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_role("dialog")).to_contain_text("unknown or revoked")
+    page.get_by_label("API key").fill(made.json()["secret"])
+    page.get_by_role("button", name="Use this key").click()
+    expect(row(page, "made before the keys")).to_be_visible()
+    page.reload()
+    expect(row(page, "made before the keys")).to_be_visible()
+    page.get_by_role("button", name="Forget key").click()
+    expect(page.get_by_label("API key")).to_be_visible()

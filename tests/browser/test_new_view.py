@@ -1,0 +1,235 @@
+"""A new morph, as a person puts it together."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.browser
+
+
+def card(page, label):
+    """The part of the form that chooses the source (`From`) or the target (`To`)."""
+    return page.get_by_role("region", name=label, exact=True)
+
+
+def method(page, name):
+    """The check mark of a method."""
+    return page.get_by_role("checkbox", name=name, exact=True)
+
+
+def make_it_small(page):
+    """Few particles and frames, so that the job is quick."""
+    page.get_by_label("Particles per cell edge", exact=True).fill("1")
+    page.get_by_label("Frames", exact=True).fill("2")
+    page.get_by_label("Frames", exact=True).blur()
+
+
+def test_two_meshes_are_sent_seen_and_morphed(service, mesh_files, page):
+    """Two files become particles on the screen, then a job between these meshes that succeeds."""
+    page.goto("/new")
+    for label, role, name in (("From", "source", "ball.obj"), ("To", "target", "box.stl")):
+        with page.expect_response(re.compile(r"/v1/meshes/\w+/particles")) as sampled:
+            card(page, label).get_by_label(f"Mesh file of the {role}").set_input_files(
+                mesh_files[name]
+            )
+        expect(card(page, label)).to_contain_text(f"{name}:")
+        assert sampled.value.ok
+        count = int(sampled.value.headers["morph-count"])
+        expect(card(page, label).get_by_role("status")).to_have_text(
+            re.compile(rf"^{count // 1000}\s{count % 1000:03d} particles$")
+        )
+        expect(card(page, label).locator("canvas")).to_be_visible()
+    make_it_small(page)
+    method(page, "physics").check()
+    method(page, "joint").uncheck()
+    page.get_by_role("button", name="Morph").click()
+    page.wait_for_url("**/jobs/*")
+    job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
+    assert job["state"] == "succeeded"
+    assert (job["source_name"], job["target_name"]) == ("ball.obj", "box.stl")
+    assert (job["method"], job["progress"]["frames"]) == ("physics", 2)
+
+
+def test_a_dropped_file_is_taken(page):
+    """A file dropped anywhere on the card is sent."""
+    cube = "\n".join(
+        [f"v {x} {y} {z}" for x in (-3, 3) for y in (-3, 3) for z in (-3, 3)]
+        + ["f 1 2 4 3", "f 5 7 8 6", "f 1 5 6 2", "f 3 4 8 7", "f 1 3 7 5", "f 2 6 8 4"]
+    )
+    page.goto("/new")
+    expect(card(page, "To")).to_be_visible()
+    files = page.evaluate_handle(
+        """text => {
+            const data = new DataTransfer();
+            data.items.add(new File([text], 'cube.obj'));
+            return data;
+        }""",
+        cube,
+    )
+    card(page, "To").dispatch_event("drop", {"dataTransfer": files})
+    expect(card(page, "To")).to_contain_text("cube.obj: 12 triangles, closed")
+
+
+def test_a_bad_mesh_is_refused_in_words(mesh_files, page):
+    """A sheet without a volume gets a sentence with the cause and one with the remedy."""
+    page.goto("/new")
+    picker = card(page, "From").get_by_label("Mesh file of the source")
+    picker.set_input_files(mesh_files["sheet.obj"])
+    alert = card(page, "From").get_by_role("alert").filter(has_text="sheet.obj")
+    expect(alert.locator("p")).to_have_count(2)
+    assert "source=shape" in page.url, "the shape chosen before stays"
+    picker.set_input_files(mesh_files["ball.obj"])
+    expect(card(page, "From")).to_contain_text("ball.obj:")
+    expect(alert).to_have_count(0)
+
+
+def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
+    """Uploads are kept by the service; a word becomes solid letters."""
+    ball = mesh_files["ball.obj"]
+    service.call("POST", "/v1/meshes?name=ball.obj", content=ball.read_bytes())
+    page.goto("/new")
+    card(page, "From").get_by_role("radio", name="Mesh file").check()
+    card(page, "From").get_by_label("Or a mesh sent before").select_option("ball.obj")
+    expect(card(page, "From")).to_contain_text("ball.obj:")
+    card(page, "To").get_by_role("radio", name="Text").check()
+    word = card(page, "To").get_by_label("Word")
+    word.fill("no spaces")
+    word.blur()
+    expect(card(page, "To")).to_contain_text("letters and digits without spaces")
+    word.fill("HI")
+    with page.expect_response(re.compile(r"/v1/shapes/text%3AHI/particles")) as sampled:
+        word.blur()
+    assert sampled.value.ok
+
+
+def test_changed_settings_alone_are_sent(service, page):
+    """A setting found by its name, changed, kept over a reload, and sent as the only override."""
+    page.goto("/new?preset=published")
+    make_it_small(page)
+    page.get_by_text("All settings").click()
+    page.get_by_label("Find a setting").fill("huber")
+    huber = page.get_by_label("Huber delta", exact=True)
+    expect(huber).to_have_value("1.5")
+    expect(page.get_by_label("Youngs modulus", exact=True)).to_be_hidden()
+    huber.fill("0.75")
+    huber.blur()
+    expect(page.get_by_text("3 settings changed")).to_be_visible()
+
+    page.reload()
+    expect(page.get_by_text("3 settings changed")).to_be_visible()
+    with page.expect_request(re.compile("/v1/jobs$")) as sent:
+        page.get_by_role("button", name="Morph").click()
+    page.wait_for_url("**/jobs/*")
+    assert sent.value.post_data_json["overrides"] == {
+        "frames": 2,
+        "sampling.points_per_cell_edge": 1,
+        "chamfer.huber_delta": 0.75,
+    }
+    job = page.url.rpartition("/")[2]
+    service.call("POST", f"/v1/jobs/{job}/cancel")
+    config = service.call("GET", f"/v1/jobs/{job}/config").json()
+    assert config["chamfer"]["huber_delta"] == 0.75
+
+
+def test_a_value_out_of_range_is_told_beside_its_field(page):
+    """Nothing is sent while a value is out of range, and the field that is wrong gets the focus."""
+    sent = []
+    page.on("request", lambda request: request.method == "POST" and sent.append(request.url))
+    page.goto("/new")
+    frames = page.get_by_label("Frames", exact=True)
+    frames.fill("0")
+    frames.blur()
+    expect(page.get_by_text("Give a whole number from 1 to 10000.")).to_be_visible()
+    page.get_by_role("button", name="Morph").click()
+    expect(frames).to_be_focused()
+    assert sent == []
+    page.get_by_label("Name", exact=True).fill("named meanwhile")
+    page.get_by_label("Name", exact=True).blur()
+    expect(page).to_have_url(re.compile("name=named"))
+    expect(frames).to_have_value("0")
+    frames.fill("7")
+    frames.blur()
+    expect(page.get_by_text("Give a whole number from 1 to 10000.")).to_have_count(0)
+    expect(page).to_have_url(re.compile("frames%22%3A7"))
+
+
+def test_what_only_the_service_refuses_is_told_beside_its_field(page):
+    """An address can ask for what the form would not take; the service's words are shown."""
+    page.goto('/new?overrides={"chamfer.weight":-3}')
+    page.get_by_role("button", name="Morph").click()
+    fault = page.locator("[id='set-chamfer.weight-fault']")
+    expect(fault).to_contain_text("-3: input should be greater than or equal to 0")
+    expect(page.locator("[id='set-chamfer.weight']")).to_be_focused()
+
+
+def test_several_methods_make_a_sweep_once(service, page):
+    """Two methods and a double click are two jobs, listed as one sweep."""
+    page.goto("/new?methods=physics,dco")
+    make_it_small(page)
+    page.get_by_role("button", name="Morph with 2 methods").dblclick()
+    page.wait_for_url("**/?sweep=*")
+    sweep = page.url.rpartition("=")[2]
+    expect(page.get_by_role("row").filter(has_text="sphere → star")).to_have_count(2)
+    rows = service.call("GET", f"/v1/sweeps/{sweep}").json()["rows"]
+    assert sorted(row["method"] for row in rows) == ["dco", "physics"]
+    for row in rows:
+        service.call("POST", f"/v1/jobs/{row['job']}/cancel")
+
+
+def test_a_job_is_changed_and_run_again(service, page):
+    """The form takes over a job's shapes, method and settings."""
+    job = service.submit(
+        name="to be changed",
+        target={"shape": "torus"},
+        method="dcd",
+        overrides={"sampling.points_per_cell_edge": 1, "density.neighbors": 5},
+    )
+    service.call("POST", f"/v1/jobs/{job}/cancel")
+    page.goto("/")
+    page.get_by_role("link", name="Change to be changed and run it again").click()
+    expect(page.get_by_label("Name")).to_have_value("to be changed")
+    expect(card(page, "To").get_by_label("torus")).to_be_checked()
+    expect(method(page, "dcd")).to_be_checked()
+    expect(page.get_by_label("Frames", exact=True)).to_have_value("3")
+    page.get_by_text("All settings").click()
+    expect(page.locator("[id='set-density.neighbors']")).to_have_value("5")
+
+
+def test_a_morph_with_the_keyboard_alone(service, page):
+    """From the list to a running job by Tab, arrows, Space and Enter."""
+    page.goto("/")
+    page.get_by_role("link", name="New morph").first.focus()
+    page.keyboard.press("Enter")
+    expect(card(page, "From").get_by_label("sphere")).to_be_checked()
+
+    def tab_to(target):
+        for _ in range(60):
+            if target.evaluate("element => element === document.activeElement"):
+                return
+            page.keyboard.press("Tab")
+        pytest.fail(f"Tab does not reach {target}.")
+
+    tab_to(card(page, "From").get_by_label("sphere"))
+    page.keyboard.press("ArrowRight")
+    expect(card(page, "From").get_by_label("torus")).to_be_checked()
+    tab_to(method(page, "joint"))
+    tab_to(method(page, "dco"))
+    page.keyboard.press("Space")
+    tab_to(page.get_by_label("Frames", exact=True))
+    page.keyboard.press("ControlOrMeta+A")
+    page.keyboard.type("2")
+    tab_to(page.get_by_label("Particles per cell edge", exact=True))
+    page.keyboard.press("ControlOrMeta+A")
+    page.keyboard.type("1")
+    tab_to(page.get_by_label("Name"))
+    page.keyboard.type("typed")
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/?sweep=*")
+    expect(page.get_by_role("link", name="typed", exact=True)).to_have_count(2)
+    jobs = service.call("GET", f"/v1/sweeps/{page.url.rpartition('=')[2]}").json()["rows"]
+    assert {job["source"] for job in jobs} == {"torus"}
+    for job in jobs:
+        service.call("POST", f"/v1/jobs/{job['job']}/cancel")

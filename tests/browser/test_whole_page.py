@@ -1,0 +1,88 @@
+"""What holds for every view: readable by all, small, for itself, on a phone."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.browser
+
+FIRST_VIEW_BYTES = 400_000
+
+
+@pytest.fixture(scope="module")
+def settled(service):
+    """Jobs in several states, none of which changes any more."""
+    done = service.submit(name="a job that is done")
+    stopped = service.submit(name="a job that was stopped", frames=2000)
+    service.wait_for(done, "succeeded")
+    service.call("POST", f"/v1/jobs/{stopped}/cancel")
+    service.wait_for(stopped, "cancelled")
+    return service
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("path", ["/", "/new"])
+def test_axe_finds_nothing_serious(settled, new_page, serious_faults, path, scheme):
+    """No serious finding of axe-core, with the settings open too, in light and in dark."""
+    page = new_page(color_scheme=scheme)
+    page.goto(path)
+    if path.startswith("/new"):
+        page.get_by_text("All settings").click()
+        expect(page.locator("canvas").first).to_be_visible()
+    else:
+        expect(page.get_by_role("row").nth(2)).to_be_visible()
+    assert serious_faults(page) == []
+
+
+@pytest.mark.parametrize("path", ["/", "/new"])
+def test_a_phone_needs_no_sideways_scroll(settled, new_page, path):
+    """At 390 px nothing is wider than the screen."""
+    page = new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+    page.goto(path)
+    if path == "/new":
+        page.get_by_text("All settings").click()
+    else:
+        expect(page.get_by_role("link", name="a job that is done", exact=True)).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_the_first_view_is_small_and_needs_nobody_else(settled, page):
+    """Less than 400 kB compressed, pictures included, and interactive without another host."""
+    finished = []
+    page.on("requestfinished", lambda request: finished.append(request))
+    page.goto("/")
+    expect(page.get_by_role("link", name="a job that is done", exact=True)).to_be_visible()
+    expect(page.locator(".thumbnail img").first).to_be_visible()
+    sizes = {request.url: request.sizes()["responseBodySize"] for request in list(finished)}
+    assert any(url.endswith(".js") for url in sizes)
+    assert sum(sizes.values()) < FIRST_VIEW_BYTES, sizes
+
+
+def test_light_and_dark_are_chosen_and_kept(page):
+    """The switch overrides the system and outlives a reload."""
+    page.emulate_media(color_scheme="light")
+    page.goto("/")
+    background = "getComputedStyle(document.documentElement).backgroundColor"
+    light = page.evaluate(background)
+    page.get_by_role("button", name="Dark colours").click()
+    dark = page.evaluate(background)
+    assert dark != light
+    page.reload()
+    expect(page.get_by_role("button", name="Light colours")).to_be_visible()
+    assert page.evaluate(background) == dark
+
+
+def test_an_unknown_address_says_so(page):
+    """A job that does not exist is a sentence, not an empty page."""
+    page.goto("/jobs/00000000000000000000000000")
+    expect(page.get_by_role("alert")).to_contain_text("There is no job")
+
+
+def test_the_policy_forbids_foreign_and_inline_code(service):
+    """Scripts come from the service alone, and no frame may hold the page."""
+    answer = service.call("GET", "/")
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert "frame-ancestors 'none'" in policy

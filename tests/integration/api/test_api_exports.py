@@ -1,0 +1,187 @@
+"""What is computed from frames on request: surfaces, thumbnails, exports."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import time
+import zipfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from client.api import MorphClient
+from client.service_error import ServiceError
+from morph_engine.run_record import RunRecord
+from tests.integration.api.conftest import Api
+from worker import limited
+
+
+def loaded(content: bytes, format: str) -> trimesh.Trimesh:
+    """A mesh file as trimesh reads it, equal vertices made one."""
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type=format)
+    mesh.merge_vertices(merge_norm=True)
+    return mesh
+
+
+def ready(api: Api, location: str, seconds: float = 120) -> dict[str, Any]:
+    """An export once it has ended."""
+    deadline = time.monotonic() + seconds
+    while (export := api.http.get(location).json())["state"] == "running":
+        assert time.monotonic() < deadline, export
+        time.sleep(0.1)
+    return export
+
+
+def test_the_surface_of_a_frame(api: Api, run: RunRecord, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closed, in every format and unit, computed once for all who ask, and kept."""
+    started = []
+
+    def counted(*arguments: Any, **options: Any) -> bytes:
+        started.append(arguments[0])
+        return limited_run(*arguments, **options)
+
+    limited_run = limited.run
+    monkeypatch.setattr(limited, "run", counted)
+    path = f"/v1/jobs/{api.running(run)}/frames/0/surface"
+    with ThreadPoolExecutor(3) as pool:
+        answers = list(pool.map(api.http.get, [path] * 3))
+    assert [answer.status_code for answer in answers] == [200] * 3, answers[0].text
+    headers = answers[0].headers
+    assert headers["Morph-Watertight"] == "true" and headers["Morph-Bodies"] == "1"
+    assert 0 < float(headers["Morph-Deviation-Mean"]) < float(headers["Morph-Deviation-Max"])
+    meshes = {"glb": loaded(answers[0].content, "glb")}
+    for format in ("ply", "obj", "stl"):
+        answer = api.http.get(path, params={"format": format, "units": "user"})
+        meshes[format] = loaded(answer.content, format)
+    for mesh in meshes.values():  # a built-in shape's own units are grid units
+        assert mesh.is_watertight
+        assert mesh.volume == pytest.approx(1394, rel=0.03)  # that of the sphere
+        np.testing.assert_allclose(mesh.bounds.mean(axis=0), [1, 0, 0], atol=0.1)
+    assert started == ["worker.surfacing"]
+    known = {"If-None-Match": headers["ETag"]}
+    assert api.http.get(path, headers=known).status_code == 304
+    assert api.http.get(path.replace("/0/", "/2/")).status_code == 404
+
+
+def test_a_surface_that_takes_too_much_is_refused(
+    make_api: Callable[..., Api], run: RunRecord
+) -> None:
+    """The limit is named, and nothing is left behind."""
+    api = make_api(export_memory_bytes=1 << 20)
+    job = api.running(run)
+    answer = api.http.get(f"/v1/jobs/{job}/frames/0/surface")
+    assert answer.status_code == 422 and "1 MiB" in answer.json()["detail"], answer.text
+    assert not list(api.service.storage.derived_dir(job).glob("surface*"))
+
+
+def test_a_thumbnail_of_the_newest_frame(api: Api, run: RunRecord) -> None:
+    """A small picture, drawn once for each number of frames."""
+    job = api.running(run)
+    answer = api.http.get(f"/v1/jobs/{job}/thumbnail")
+    assert answer.status_code == 200 and answer.headers["content-type"] == "image/webp"
+    assert Image.open(io.BytesIO(answer.content)).size == (240, 180)
+    known = {"If-None-Match": answer.headers["ETag"]}
+    assert api.http.get(f"/v1/jobs/{job}/thumbnail", headers=known).status_code == 304
+    assert [p.name for p in api.service.storage.derived_dir(job).glob("*.webp")] == [
+        "thumbnail-000002.webp"
+    ]
+    waiting = api.submit()["id"]
+    assert api.http.get(f"/v1/jobs/{waiting}/thumbnail").status_code == 404
+
+
+def test_exports_are_made_once_and_kept(
+    make_api: Callable[..., Api], run: RunRecord, tmp_path: Path
+) -> None:
+    """From the request to the file, which outlives the service and goes with the job."""
+    data = tmp_path / "data"
+    api = make_api(data_dir=data)
+    formats = {format["name"]: format for format in api.http.get("/v1/exports/formats").json()}
+    assert formats["ply"]["kind"] == "frame" and "points" in formats["ply"]["carries"]
+    job = api.finished(run)
+    path = f"/v1/jobs/{job}/exports"
+    body = {"format": "ply", "units": "grid", "fields": ["displacement"]}
+    asked = api.http.post(path, json=body)
+    assert asked.status_code == 202, asked.text
+    again = api.http.post(path, json=body | {"frames": None})
+    assert again.json()["id"] == asked.json()["id"]
+    export = ready(api, asked.headers["Location"])
+    assert (export["state"], export["progress"], export["problem"]) == ("ready", 1, None)
+    file = api.http.get(export["links"]["file"])
+    assert len(file.content) == export["size"]
+    assert hashlib.sha256(file.content).hexdigest() == file.headers["ETag"].strip('"')
+    assert 'filename="sphere-to-star-partial.zip"' in file.headers["Content-Disposition"]
+    with zipfile.ZipFile(io.BytesIO(file.content)) as archive:
+        assert len(archive.namelist()) == 2
+        cloud = trimesh.load(io.BytesIO(archive.read(archive.namelist()[1])), file_type="ply")
+        moved = run.source_points + np.float32([3, 0, 0])
+        np.testing.assert_allclose(cloud.vertices, moved, atol=1e-5)
+    part = api.http.get(export["links"]["file"], headers={"Range": "bytes=0-3"})
+    assert part.status_code == 206 and part.content == b"PK\x03\x04"
+    surface = {"format": "glb", "frames": [-1], "surface": True}
+    export = ready(api, api.http.post(path, json=surface).headers["Location"])
+    mesh = loaded(api.http.get(export["links"]["file"]).content, "glb")
+    assert mesh.is_watertight and export["file_name"] == "sphere-to-star-partial-1.glb"
+    table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
+    rows = api.http.get(table["links"]["file"]).text.split()
+    assert rows == ["frame,s2t", "0,1.0", "1,3.0"]
+    assert api.service.storage.job_bytes(job) > export["size"]
+
+    later = make_api(data_dir=data)
+    assert later.http.post(path, json=surface).status_code == 200
+    unknown = later.http.get(f"{path}/{'0' * 26}")
+    assert unknown.status_code == 404 and "POST" in unknown.json()["remedy"]
+    assert later.http.delete(f"/v1/jobs/{job}").status_code == 204
+    assert later.http.get(export["links"]["file"]).status_code == 404
+    assert not list((data / "jobs").iterdir())
+
+
+def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecord) -> None:
+    """Faults of the request are found at once, others are told by the export."""
+    api = make_api(export_memory_bytes=1 << 20)
+    job = api.finished(run)
+    path = f"/v1/jobs/{job}/exports"
+    for fault in (
+        {"format": "plx"},
+        {"format": "ply", "frames": [2]},
+        {"format": "ply", "frames": []},
+        {"format": "ply", "fields": ["colour"]},
+        {"format": "stl"},
+        {"format": "ply", "units": "miles"},
+        {"colour": 1},
+    ):
+        answer = api.http.post(path, json=fault)
+        assert answer.status_code == 422 and answer.json()["remedy"], (fault, answer.text)
+    running = api.submit()["id"]
+    assert api.http.post(f"/v1/jobs/{running}/exports", json={"format": "ply"}).status_code == 409
+    asked = api.http.post(path, json={"format": "obj", "surface": True})
+    export = ready(api, asked.headers["Location"])
+    assert export["state"] == "failed" and export["problem"]["kind"] == "resources"
+    file = api.http.get(f"{asked.headers['Location']}/file")
+    assert file.status_code == 409 and file.json()["detail"] == export["problem"]["cause"]
+    assert api.http.post(path, json={"format": "obj", "surface": True}).status_code == 202
+
+
+def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) -> None:
+    """Arrays, files and exports by one call each; what fails is an error with its remedy."""
+    job = api.finished(run)
+    with MorphClient(str(api.http.base_url)) as client:
+        np.testing.assert_array_equal(client.source(job), run.source_points)
+        np.testing.assert_array_equal(client.target(job), run.target_points)
+        np.testing.assert_allclose(client.field(job, "displacement", 0), 1, rtol=1e-5)
+        assert len(client.particles("sphere", points_per_cell_edge=2)) == run.particle_count
+        assert "speed" in [field.name for field in client.fields()]
+        assert "csv" in [format.name for format in client.export_formats()]
+        assert loaded(client.surface(job, format="stl"), "stl").is_watertight
+        assert client.thumbnail(job).startswith(b"RIFF")
+        file = client.export(job, tmp_path / "cloud.npz", "npz", frames=[0])
+        with np.load(file) as arrays:
+            assert any(array.shape[-2:] == run.source_points.shape for array in arrays.values())
+        with pytest.raises(ServiceError, match="plx"):
+            client.export(job, tmp_path / "no", "plx")

@@ -1,0 +1,171 @@
+"""Export: every format read back by a library of its own gives what the result holds."""
+
+import csv
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from pxr import Usd, UsdGeom
+
+from morph_engine.errors import ConfigError, ExtraError, ResultError
+from morph_engine.export import FORMATS, export, suffix
+from morph_engine.fields import FIELDS
+from morph_engine.surface import surface
+from morph_engine.trajectory import Trajectory
+
+TOLERANCE = 1e-5  # in the user's units, where the egg is 4 long and 37 from the origin
+
+
+@pytest.fixture(scope="module")
+def trajectory(small_result):
+    """The result, open."""
+    with Trajectory(small_result) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("format", ["ply", "obj", "glb"])
+def test_points_come_back(trajectory, tmp_path, format):
+    """All particles of the last frame, in order, where the user's own files have them."""
+    path = export(trajectory, tmp_path / f"frame.{format}", format)
+    cloud = trimesh.load_scene(path).geometry.popitem()[1]
+    expected = trajectory.positions_in_user_units(-1)
+    np.testing.assert_allclose(cloud.vertices, expected, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("format", ["ply", "obj", "glb", "stl"])
+def test_surface_comes_back(trajectory, tmp_path, format):
+    """The same closed surface, in grid units if asked for."""
+    path = export(
+        trajectory, tmp_path / f"s.{format}", format, frames=[1], surface=True, units="grid"
+    )
+    found = trimesh.load_mesh(path)
+    expected = surface(trajectory.positions(1), 0.5)
+    assert found.is_watertight
+    assert len(found.faces) == len(expected.faces)
+    np.testing.assert_allclose(
+        found.vertices[found.faces], expected.vertices[expected.faces], atol=TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("with_surface", [False, True])
+def test_usd_animates(trajectory, tmp_path, with_surface):
+    """A time sample per frame, with the points, the triangles and the field of that frame."""
+    path = export(trajectory, tmp_path / "egg.usdc", "usd", surface=with_surface, fields=["det_f"])
+    stage = Usd.Stage.Open(str(path))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, 2)
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    (shape,) = stage.GetDefaultPrim().GetChildren()
+    det_f = UsdGeom.PrimvarsAPI(shape).GetPrimvar("det_f")
+    for frame in range(3):
+        points = np.array(UsdGeom.PointBased(shape).GetPointsAttr().Get(frame))
+        np.testing.assert_allclose(det_f.Get(frame), 1 + 0.1 * (frame + 1), rtol=1e-6)
+        if with_surface:
+            counts = np.array(UsdGeom.Mesh(shape).GetFaceVertexCountsAttr().Get(frame))
+            corners = np.array(UsdGeom.Mesh(shape).GetFaceVertexIndicesAttr().Get(frame))
+            assert (counts == 3).all()
+            assert trimesh.Trimesh(points, corners.reshape(-1, 3)).is_watertight
+        else:
+            expected = trajectory.positions_in_user_units(frame)
+            np.testing.assert_allclose(points, expected, atol=TOLERANCE)
+
+
+def test_npz_holds_arrays(trajectory, tmp_path):
+    """Positions and fields of the chosen frames, source and target, all in the same units."""
+    path = export(trajectory, tmp_path / "egg.npz", "npz", frames=[2, 0], fields=["displacement"])
+    with np.load(path) as arrays:
+        assert arrays["frames"].tolist() == [2, 0]
+        expected = [trajectory.positions_in_user_units(frame) for frame in (2, 0)]
+        np.testing.assert_allclose(arrays["positions"], expected, atol=TOLERANCE)
+        moved = np.linalg.norm(arrays["positions"][0] - arrays["source"], axis=1)
+        np.testing.assert_allclose(0.5 * arrays["displacement"][0], moved, atol=TOLERANCE)
+        assert arrays["target"].shape == (trajectory.particle_count, 3)
+
+
+def test_csv_is_the_metrics(trajectory, tmp_path):
+    """A row per frame, with the frame's index and every metric in full precision."""
+    path = export(trajectory, tmp_path / "egg.csv", "csv")
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == [0, 1, 2]
+    assert [float(row["s2t"]) for row in rows] == trajectory.metrics["s2t"].tolist()
+
+
+def test_fields_travel_with_the_points(trajectory, tmp_path):
+    """PLY has a property per field; a GLB has colours that follow its first field."""
+    ply = trimesh.load(
+        export(trajectory, tmp_path / "f.ply", "ply", fields=["displacement", "det_f"])
+    )
+    data = ply.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_allclose(data["det_f"].ravel(), trajectory.det_f(-1))
+    moved = np.linalg.norm(trajectory.positions(-1) - trajectory.run.source_points, axis=1)
+    np.testing.assert_allclose(data["displacement"].ravel(), moved, atol=TOLERANCE)
+    path = export(trajectory, tmp_path / "f.glb", "glb", fields=["displacement"])
+    colors = trimesh.load_scene(path).geometry.popitem()[1].colors
+    assert (colors[moved == 0] == colors[moved.argmin()]).all()
+    assert (colors[moved.argmax()] != colors[moved.argmin()]).any()
+
+
+def test_many_frames_of_one_kind(trajectory, tmp_path):
+    """A zip or a folder has a file per frame; the same zip twice is the same file."""
+    told = []
+    archive = export(
+        trajectory,
+        tmp_path / "all.zip",
+        "ply",
+        frames=[0, -1],
+        watch=lambda *done: told.append(done),
+    )
+    again = export(trajectory, tmp_path / "again.zip", "ply", frames=[0, -1])
+    folder = export(trajectory, tmp_path / "all", "ply")
+    assert told == [(0, 2), (1, 2), (2, 2)]
+    assert archive.read_bytes() == again.read_bytes()
+    with zipfile.ZipFile(archive) as files:
+        assert files.namelist() == ["frame-0000.ply", "frame-0002.ply"]
+        assert files.read("frame-0002.ply") == (folder / "frame-0002.ply").read_bytes()
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_endings():
+    """Several frames of a kind that holds one are a zip; all else has the format's own ending."""
+    assert suffix("ply", None) == suffix("ply", [0, 1]) == ".zip"
+    assert suffix("ply", [3]) == ".ply"
+    assert suffix("usd", None) == ".usdc"
+    assert all(known.suffix.startswith(".") for known in FORMATS.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "format", "options", "error", "words"),
+    [
+        ("a.ply", "plx", {}, ConfigError, "'ply'"),
+        ("a.stl", "stl", {}, ConfigError, "surfaces only"),
+        ("a.obj", "obj", {"fields": ["speed"]}, ConfigError, "ply"),
+        ("a.npz", "npz", {"surface": True}, ConfigError, "no surface"),
+        ("a.ply", "ply", {"frames": [0, 1]}, ConfigError, r"\.zip"),
+        ("a.ply", "ply", {"frames": [3]}, ResultError, "3 frames"),
+        ("a.ply", "ply", {"fields": ["sped"]}, ConfigError, "'speed'"),
+        ("missing/a.ply", "ply", {}, ResultError, "Cannot write"),
+    ],
+)
+def test_refusals_leave_no_file(trajectory, tmp_path, name, format, options, error, words):
+    """What cannot be written is refused with a remedy, and nothing is left behind."""
+    with pytest.raises(error, match=words):
+        export(trajectory, tmp_path / name, format, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_extra_names_the_command(trajectory, tmp_path, monkeypatch):
+    """Without usd-core one reads what to install."""
+    monkeypatch.setitem(sys.modules, "pxr.Usd", None)
+    with pytest.raises(ExtraError, match=r"pip install 'chamfer-morph\[usd\]'"):
+        export(trajectory, tmp_path / "a.usdc", "usd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_documentation_names_every_format_and_field():
+    """docs/exports.md has a row for each."""
+    text = (Path(__file__).resolve().parents[2] / "docs" / "exports.md").read_text()
+    for name in (*FORMATS, *FIELDS):
+        assert f"\n| `{name}` |" in text, name

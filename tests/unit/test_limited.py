@@ -1,0 +1,73 @@
+"""Children with little memory and time: the limits hold, and no child outlives its parent."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from worker import limited
+from worker.limited import Limits
+
+CHILD = """
+import sys
+from worker import limited
+limited.enter()
+try:
+    exec(sys.argv[1])
+except MemoryError:
+    sys.exit(limited.OUT_OF_MEMORY)
+"""
+PARENT = """
+from worker import limited
+limited.run("child", ["while True: pass"], limited.Limits(1 << 28, 60),
+            meet=lambda process: print(process.pid, flush=True))
+"""
+
+
+@pytest.fixture(autouse=True)
+def child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that runs what it is told within its limits."""
+    (tmp_path / "child.py").write_text(CHILD)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+
+def test_what_a_child_prints_is_its_answer() -> None:
+    """As a whole, or line by line."""
+    code = "print('one'); print('two')"
+    assert limited.run("child", [code], Limits(1 << 28, 10)).split() == [b"one", b"two"]
+    heard: list[bytes] = []
+    assert limited.run("child", [code], Limits(1 << 28, 10), hear=heard.append) == b""
+    assert heard == [b"one\n", b"two\n"]
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        ("bytearray(1 << 30)", limited.TooMuchMemory),
+        ("while True: pass", limited.TooMuchTime),
+        ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", limited.Broken),
+        ("import os; os.abort()", limited.Broken),
+    ],
+)
+def test_a_child_that_does_too_much_is_ended(
+    code: str, error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each limit by its name, and nothing printed is taken for an answer."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error):
+        limited.run("child", [f"print(1)\n{code}"], Limits(1 << 28, 1, file_bytes=1000))
+
+
+def test_a_child_ends_with_its_parent() -> None:
+    """Even if the parent is killed while the child computes."""
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        child = psutil.Process(int(parent.stdout.readline()))
+        time.sleep(0.1)
+        parent.kill()
+    child.wait(20)

@@ -1,0 +1,143 @@
+"""Pictures and videos: what is nearer hides what is farther, and files are what they claim."""
+
+import io
+import sys
+from dataclasses import replace
+from itertools import pairwise
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from morph_engine.errors import ConfigError, ExtraError
+from morph_engine.raster import Canvas
+from morph_engine.rendering import Camera, look, picture, thumbnail, video
+from morph_engine.surface import surface
+
+FRONT = Camera(np.eye(3), np.zeros(3), 5.0)
+SMALL = (120, 90)
+
+
+def ink(image):
+    """Which pixels are not white."""
+    return (image < 255).any(axis=2)
+
+
+def test_a_particle_is_a_disc_of_its_size():
+    """One particle at the centre covers the area of its sphere, about the centre."""
+    image = picture([[0, 0, 0]], spacing=4 / 0.55, view=FRONT, size=(200, 200))
+    seen = ink(image)
+    assert image.shape == (200, 200, 3) and image.dtype == np.uint8
+    assert seen.sum() == pytest.approx(np.pi * 80**2, rel=0.03)  # 4 dx at 20 pixels each
+    rows, columns = np.nonzero(seen)
+    assert rows.mean() == pytest.approx(99.5, abs=0.5)
+    assert columns.mean() == pytest.approx(99.5, abs=0.5)
+    upper_left, lower_right = image[60, 60].sum(), image[140, 140].sum()
+    assert upper_left > lower_right  # where the light comes from
+
+
+def test_the_nearer_particle_is_seen():
+    """Red before blue shows no blue in the middle, in whatever order they come."""
+    points, colors = np.array([[0, 0, 2.0], [0, 0, -2.0]]), np.eye(3)[[0, 2]]
+    for order in ([0, 1], [1, 0]):
+        image = picture(points[order], spacing=2, colors=colors[order], view=FRONT, size=(90, 90))
+        red, _, blue = image[45, 45]
+        assert red > 100 and blue == 0
+
+
+def test_what_is_left_out_is_hidden(lattice_ball, monkeypatch):
+    """Dropping the particles behind others leaves every pixel as it is."""
+    ball = lattice_ball(3.0, 0.4)
+    colors = np.random.default_rng(1).random(ball.shape)
+    quick = picture(ball, spacing=0.4, colors=colors, size=SMALL)
+    dropped = []
+
+    def all_of_them(canvas, centres, radius):
+        dropped.append(len(centres) - len(in_sight(canvas, centres, radius)))
+        return np.arange(len(centres))
+
+    in_sight = Canvas._in_sight
+    monkeypatch.setattr(Canvas, "_in_sight", all_of_them)
+    np.testing.assert_array_equal(quick, picture(ball, spacing=0.4, colors=colors, size=SMALL))
+    assert dropped[0] > len(ball) / 3
+
+
+def test_surface_and_particles_have_the_same_outline(lattice_ball):
+    """A ball drawn either way covers the same pixels, but for a rim."""
+    ball = lattice_ball(4.0, 0.4)
+    found = surface(ball, 0.4)
+    view = Camera.facing(ball, look(), SMALL)
+    particles = ink(picture(ball, spacing=0.4, view=view, size=SMALL))
+    triangles = ink(picture(found.vertices, spacing=0.4, faces=found.faces, view=view, size=SMALL))
+    assert (particles & triangles).sum() / (particles | triangles).sum() > 0.93
+
+
+def test_a_turntable_keeps_everything_in_the_picture(lattice_ball):
+    """From every side a long shape stays clear of the picture's edge, and nearly fills it."""
+    points = lattice_ball(3.0, 0.6) * np.array([1.0, 1.0, 3.0])
+    camera = Camera.around(points, look(), SMALL)
+    widths = []
+    for azimuth in range(0, 180, 30):
+        view = replace(camera, rotation=look(azimuth=azimuth))
+        seen = ink(picture(points, spacing=0.6, view=view, size=SMALL))
+        assert not (seen[[0, -1]].any() or seen[:, [0, -1]].any())
+        widths.append(np.ptp(np.flatnonzero(seen.any(axis=0))))
+    assert max(widths) > 0.8 * SMALL[0]
+
+
+def test_thumbnail_is_a_small_transparent_picture(lattice_ball):
+    """240 x 180, the shape in the middle, nothing in the corners, lost particles no trouble."""
+    points = np.concatenate([lattice_ball(3.0, 0.5), [[np.nan, 0, 0]]])
+    image = np.asarray(Image.open(io.BytesIO(thumbnail(points, 0.5))))
+    assert image.shape == (180, 240, 4)
+    assert image[90, 120, 3] == 255
+    assert not image[[0, 0, -1, -1], [0, -1, 0, -1], 3].any()
+
+
+def test_mp4_holds_every_frame_and_a_rest(small_result, tmp_path):
+    """H.264 of the size asked for: three frames, then a second of the last one."""
+    path = video(small_result, tmp_path / "egg.mp4", field="det_f", size=SMALL, fps=4)
+    with av.open(str(path)) as file:
+        stream = file.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        pictures = [frame.to_ndarray(format="rgb24") for frame in file.decode(stream)]
+    assert len(pictures) == 3 + 4
+    assert pictures[0].shape == (90, 120, 3)
+    change = [np.abs(a.astype(int) - b).mean() for a, b in pairwise(pictures)]
+    assert min(change[:2]) > 10 * max(change[3:])
+
+
+def test_gif_turns_the_surface(small_result, tmp_path):
+    """Two frames from two sides, the last one resting for a second: three seconds in all."""
+    path = video(
+        small_result,
+        tmp_path / "egg.gif",
+        surface=True,
+        turntable=True,
+        frames=[0, 2],
+        size=SMALL,
+        fps=1,
+    )
+    with Image.open(path) as image:
+        assert image.size == SMALL
+        durations, pictures = [], []
+        for index in range(image.n_frames):
+            image.seek(index)
+            durations.append(image.info["duration"])
+            pictures.append(np.asarray(image.convert("RGB")))
+    assert sum(durations) == 3000
+    assert ink(pictures[0]).sum() == pytest.approx(ink(pictures[-1]).sum(), rel=0.3)
+    assert (pictures[0] != pictures[-1]).any()
+
+
+def test_refusals_name_cause_and_remedy(small_result, tmp_path, monkeypatch):
+    """Odd sizes, other endings and a missing package are told before anything is written."""
+    with pytest.raises(ConfigError, match="even numbers"):
+        video(small_result, tmp_path / "a.mp4", size=(121, 90))
+    with pytest.raises(ConfigError, match=r"\.mp4 or \.gif"):
+        video(small_result, tmp_path / "a.avi")
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ExtraError, match=r"pip install 'chamfer-morph\[video\]'"):
+        video(small_result, tmp_path / "a.mp4", size=SMALL)
+    assert not list(tmp_path.iterdir())
