@@ -134,6 +134,24 @@ def test_changed_settings_alone_are_sent(service, page):
     assert config["chamfer"]["huber_delta"] == 0.75
 
 
+def test_what_is_being_typed_stays(page):
+    """A preset that arrives late fills every field but the one somebody types in."""
+    held = []
+    page.route("**/v1/presets/published", lambda route: held.append(route))
+    page.goto("/new")
+    with page.expect_request("**/v1/presets/published"):
+        page.get_by_label("Preset", exact=True).select_option("published")
+    frames = page.get_by_label("Frames", exact=True)
+    frames.select_text()
+    frames.press_sequentially("1")
+    held[0].continue_()
+    expect(page.get_by_text("number for number")).to_be_visible()
+    frames.press_sequentially("2")
+    expect(frames).to_have_value("12")
+    frames.blur()
+    expect(page.get_by_text("1 setting changed")).to_be_visible()
+
+
 def test_a_value_out_of_range_is_told_beside_its_field(page):
     """Nothing is sent while a value is out of range, and the field that is wrong gets the focus."""
     sent = []

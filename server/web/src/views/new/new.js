@@ -27,6 +27,7 @@ export async function show(root, params, signal) {
   const draft = params.like ? await like(params.like, signal) : fromQuery(params);
   if (draft.methods.length === 0) draft.methods = [methods[0].name];
   const form = new Form({ methods, presets, shapes, schema }, draft, signal);
+  await form.valuesOf(draft.preset); // a form that filled itself later would write over what is typed
   fill(root, form.element);
   await form.changed({});
 }

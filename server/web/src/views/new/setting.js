@@ -14,7 +14,12 @@ export class Setting {
     this.title = title ?? about.title;
     this.changed = changed;
     const id = `set-${about.path}`;
-    this.input = input(about, id, () => this.read());
+    this.typing = false; // what is half typed is nobody else's to change
+    this.input = input(about, id, {
+      input: () => (this.typing = true),
+      blur: () => (this.typing = false),
+      change: () => this.read(),
+    });
     this.trouble = h("p", { class: "fault", id: `${id}-fault`, role: "alert" });
     this.preset = h("button", { class: "plain compact", type: "button", on: { click: () => this.reset() } });
     const hint = [about.meaning, about.range && sentence(about.range)].filter(Boolean).join(" ");
@@ -38,7 +43,7 @@ export class Setting {
     this.value = value;
     this.presetValue = preset;
     if (this.about.kind === "boolean") this.input.checked = value;
-    else this.input.value = written(value);
+    else if (!this.typing) this.input.value = written(value);
     const other = JSON.stringify(value) !== JSON.stringify(preset);
     this.element.classList.toggle("changed", other);
     this.preset.hidden = !other;
@@ -69,6 +74,7 @@ export class Setting {
 
   read() {
     const { about } = this;
+    this.typing = false;
     this.fault("");
     const text = about.kind === "boolean" ? "" : this.input.value.trim();
     let value;
@@ -90,9 +96,8 @@ export class Setting {
   }
 }
 
-function input(about, id, change) {
+function input(about, id, on) {
   const { schema, kind } = about;
-  const on = { change };
   if (kind === "boolean") return h("input", { id, type: "checkbox", on });
   if (kind === "choice") {
     return h(
