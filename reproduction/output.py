@@ -1,4 +1,4 @@
-"""What a reproduction leaves behind: a CSV file per table, figures, and the report."""
+"""What a reproduction leaves behind: a CSV file per table, figures, and the report, twice."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from morph_engine.durable import replacing
 from morph_engine.errors import ResultError
 from reproduction.catalogue import Subject
 from reproduction.experiment import Experiment
+from reproduction.markdown import markdown
 from reproduction.report import report
 from reproduction.section import Section, section_of
 from reproduction.store import Record, Store
@@ -58,6 +59,7 @@ def write(subjects: Sequence[Subject], records: Mapping[str, Record], store: Sto
                 _write(folder / "tables" / f"{section.name}.csv", section.csv)
         path = folder / "report.html"
         _write(path, report(sections, made=_made()))
+        _write(folder / "report.md", markdown(sections, made=_made()))
     except OSError as error:
         raise ResultError(
             f"Cannot write to {folder} ({error.strerror or error}).",

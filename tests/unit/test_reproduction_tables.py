@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SPHERE
+from reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SCATTER, SPHERE
 from reproduction.output import write
 from reproduction.printed import PAPER
 from reproduction.section import grid_of
@@ -129,6 +129,20 @@ def test_the_report_has_every_table_and_asks_the_network_for_nothing(tmp_path):
         assert foreign not in without_images
     assert "figure is missing" in html  # there are no frames in this store
     assert (tmp_path / "figures" / "scatter-pairs.svg").exists()
+
+
+def test_the_report_in_markdown_has_every_number_and_its_figures_beside_it(tmp_path):
+    """As many cells in each row as the head has, every number of a grid, no figure astray."""
+    write((SPHERE, SCATTER), as_printed(SCATTER) | as_printed(SPHERE), Store(tmp_path))
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    table = [line for line in text.splitlines() if line.startswith("| ")]
+    assert len({line.count("|") for line in table[: 2 + len(SPHERE.rows)]}) == 1
+    for name, _, entries in grid_of(tabulate(SPHERE, as_printed(SPHERE))).rows:
+        row = next(line for line in table if line.startswith(f"| {name} |"))
+        cells = [cell.strip(" *") for cell in row.strip("|").split("|")]
+        assert cells == [name, *(entry.text for entry in entries)]
+    figures = re.findall(r"\]\((figures/[^)]+)\)", text)
+    assert figures and all((tmp_path / path).is_file() for path in figures)
 
 
 def test_differences_have_their_sign_and_no_negative_zero():
