@@ -37,9 +37,9 @@ class Run:
 def measure(quick: bool) -> list[Row]:
     """Run the command and watch it from outside; the whole job only in the full benchmark."""
     chamfer = ["--set=chamfer.start_frame=0", "--set=chamfer.ramp_frames=1"]
-    short = ["--frames=2", *chamfer]
+    short = ["--method=joint", "--frames=2", *chamfer]
     with tempfile.TemporaryDirectory() as cache:
-        cold = run(["--frames=1"], {"TI_OFFLINE_CACHE_FILE_PATH": cache})
+        cold = run(["--method=joint", "--frames=1"], {"TI_OFFLINE_CACHE_FILE_PATH": cache})
     usual, fine = run(short), run([*short, "--points-per-cell-edge=4"])
     rows = [
         limit("cold start to the first frame", cold.first_frame, "s", 20, 8, "nothing compiled"),
@@ -48,10 +48,10 @@ def measure(quick: bool) -> list[Row]:
         limit("memory, 88k particles", fine.memory, "GB", 1.0, 0.6),
     ]
     if not quick:
-        job = run([])
-        rows.append(
-            limit("whole joint job, 40 frames", job.wall, "s", 180, 45, f"{job.cpu:.0f} CPU s")
-        )
+        for method in ("joint", "transport"):
+            job = run([f"--method={method}"])
+            what, note = f"whole {method} job, 40 frames", f"{job.cpu:.0f} CPU s"
+            rows.append(limit(what, job.wall, "s", 180, 45, note))
     return rows
 
 

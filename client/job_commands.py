@@ -261,7 +261,7 @@ def sweep(
         str, typer.Option(metavar="A,B", help="Mesh files or built-in shapes.")
     ] = "",
     targets: Annotated[str, typer.Option(metavar="C,D", help="What they are to become.")] = "",
-    methods: Annotated[str, typer.Option(metavar="M,N", help="See morph methods.")] = "joint",
+    methods: Annotated[str, typer.Option(metavar="M,N", help="See morph methods.")] = "transport",
     seeds: Annotated[str, typer.Option(metavar="1,2", help="Seeds of random choices.")] = "42",
     preset: PresetOption = "fast",
     frames: FramesOption = None,

@@ -386,7 +386,7 @@ class Service:
         sources: Iterable[ShapeLike],
         targets: Iterable[ShapeLike],
         *,
-        methods: Iterable[str] = ("joint",),
+        methods: Iterable[str] = ("transport",),
         seeds: Iterable[int] = (42,),
         preset: str = "fast",
         overrides: Mapping[str, Any] | None = None,

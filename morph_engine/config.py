@@ -244,7 +244,7 @@ class TransportConfig(_Section):
     sweeps: Count = Field(
         8, description="Rounds in which neighbours exchange destinations to shorten their ways."
     )
-    group: int = Field(300, ge=2, le=2000, description="Particles that exchange at a time.")
+    group: int = Field(100, ge=2, le=2000, description="Particles that exchange at a time.")
     rest: float = Field(
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
@@ -276,7 +276,7 @@ class MorphConfig(_Section):
     """Everything that determines a morph, given its source and target."""
 
     preset: str = Field("custom", description="Name and version of the preset it started from.")
-    method: str = Field("joint", description="Registered method, see `morph methods`.")
+    method: str = Field("transport", description="Registered method, see `morph methods`.")
     frames: int = Field(40, ge=1, le=10000)
     seed: int = Field(
         42, ge=0, lt=2**32, description="Seed of every random choice, the jitter's included."

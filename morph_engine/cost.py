@@ -48,7 +48,7 @@ def estimate(
     target_count: int,
     frames: int,
     *,
-    method: str = "joint",
+    method: str = "transport",
     threads: int | None = None,
 ) -> Estimate:
     """Estimate the cost of a run on the CPU by a model linear in particles and frames.

@@ -165,7 +165,7 @@ def _stored(det_f: npt.ArrayLike | None) -> Values:
     if det_f is None:
         raise ResultError(
             "This frame holds no det F.",
-            "Choose another field; det F is stored by the methods joint and physics.",
+            "Choose another field; det F is stored by transport, joint and physics.",
         )
     return np.asarray(det_f, np.float32)
 

@@ -16,9 +16,9 @@ from morph_engine.errors import ConfigError
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 
 _CLASSES = {
+    "transport": "morph_engine.methods.transport:Transport",
     "joint": "morph_engine.methods.joint:Joint",
     "physics": "morph_engine.methods.physics:Physics",
-    "transport": "morph_engine.methods.transport:Transport",
     "dco": "morph_engine.methods.dco:Dco",
     "dcd": "morph_engine.methods.dcd:Dcd",
     "density_aware": "morph_engine.methods.density_aware:DensityAware",

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from morph_engine.transport.groups import Indices, Points, split
 
 COARSE_SIZE = 16
-COARSE_LIMIT = 2048
+COARSE_LIMIT = 1024
 """Most groups of the first stage, whose cost grows with their number cubed."""
 
 
@@ -24,7 +24,7 @@ def transport_plan(
     destinations: Points,
     *,
     sweeps: int = 8,
-    group: int = 300,
+    group: int = 100,
     seed: int = 0,
 ) -> NDArray[np.intp]:
     """Hand out destinations so that the sum of squared ways is as small as possible.
