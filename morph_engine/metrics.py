@@ -111,6 +111,12 @@ METRICS: dict[str, Definition] = {
         "lower",
         "particles that nearly coincide with another",
     ),
+    "least_gap": Definition(
+        "min(1, min_p d_other / h)",
+        "h",
+        "higher",
+        "smallest distance of two particles; not told apart beyond h",
+    ),
     "many_to_one": Definition(
         "#{j : j is nearest to some p} / N",
         "share",
@@ -134,6 +140,12 @@ METRICS: dict[str, Definition] = {
         "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
     ),
     "det_f_max": Definition("max_p det F_p", "ratio", "one", "strongest expansion"),
+    "det_f_mean": Definition(
+        "mean_p det F_p", "ratio", "one", "volume of the matter over its volume at rest"
+    ),
+    "max_move": Definition(
+        "max_p norm(x_p - x_p of the frame before)", "dx", "lower", "farthest way in a frame"
+    ),
     "max_speed": Definition("max_p norm(v_p)", "dx/s", "lower", "fastest particle"),
     "kinetic_energy": Definition(
         "1/2 sum_p m_p norm(v_p)^2", "energy", "lower", "motion left in the cloud"
@@ -275,8 +287,8 @@ def chamfer_metrics(
 
     Returns:
         ``s2t``, ``t2s``, ``two_sided``, their ``*_over_h``, ``hausdorff``, ``precision``,
-        ``recall``, ``f1``, ``coverage``, ``overlap_01``, ``overlap_h10``, ``many_to_one``,
-        ``targets_used`` and ``escaped``, as defined in `METRICS` (algorithm 9).
+        ``recall``, ``f1``, ``coverage``, ``overlap_01``, ``overlap_h10``, ``least_gap``,
+        ``many_to_one``, ``targets_used`` and ``escaped``, as defined in `METRICS` (algorithm 9).
 
     Raises:
         MeshError: Either array has the wrong shape, or the target is empty or not finite.
@@ -314,7 +326,7 @@ def chamfer_metrics(
 
     close = (0.01, 0.1 * spacing)
     # identical points are counted apart: a tree cannot split them, and searching them is O(n^2)
-    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=max(close), workers=workers)
+    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=max(*close, spacing), workers=workers)
     gap = np.where(copies > 1, 0.0, gap[:, 0])
     overlap_01, overlap_h10 = (float(copies[gap < limit].sum()) / count for limit in close)
 
@@ -329,6 +341,7 @@ def chamfer_metrics(
             "coverage": float(np.mean(reverse < radius)),
             "overlap_01": overlap_01,
             "overlap_h10": overlap_h10,
+            "least_gap": min(1.0, float(gap.min()) / spacing),
             "many_to_one": target_count / count,
             "targets_used": target_count / len(goal),
         }
@@ -360,14 +373,14 @@ def determinants(deformation: npt.ArrayLike) -> Points:
 
 
 def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
-    """Range of det F over the particles.
+    """Range and mean of det F over the particles.
 
     Args:
         deformation: Deformation gradients F [-], shape [n, 3, 3].
 
     Returns:
-        ``det_f_min`` and ``det_f_max``. A non-finite determinant counts as the worst value of
-        each, -inf and inf.
+        ``det_f_min``, ``det_f_max`` and ``det_f_mean``. A non-finite determinant counts as the
+        worst value of each, -inf, inf and inf.
 
     Raises:
         ValueError: The shape is not [n, 3, 3] with n > 0.
@@ -377,6 +390,7 @@ def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
     return {
         "det_f_min": float(np.where(known, det, -np.inf).min()),
         "det_f_max": float(np.where(known, det, np.inf).max()),
+        "det_f_mean": float(np.where(known, det, np.inf).mean()),
     }
 
 
@@ -387,5 +401,5 @@ def _worst() -> dict[str, float]:
         dict.fromkeys((*lengths, *(f"{name}_over_h" for name in lengths), "hausdorff"), math.inf)
         | dict.fromkeys(("precision", "recall", "f1", "coverage"), 0.0)
         | dict.fromkeys(("overlap_01", "overlap_h10"), 1.0)
-        | dict.fromkeys(("many_to_one", "targets_used"), 0.0)
+        | dict.fromkeys(("least_gap", "many_to_one", "targets_used"), 0.0)
     )

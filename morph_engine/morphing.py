@@ -224,12 +224,15 @@ def _frames(
             )
     elif spool:
         spool.truncate_after(-1)
+    before = spool.positions(start - 1) if spool and start else record.source_points
     for index in range(start, config.frames):
         if stopping.stopped:
             return
         wall, cpu = time.perf_counter(), time.process_time()
         outcome = method.advance(index)
         metrics = _measure(outcome, record, config, threads, last=index == config.frames - 1)
+        metrics["max_move"] = _max_move(before, outcome.positions)
+        before = outcome.positions
         events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
         frame = Frame(
             index=index,
@@ -251,6 +254,12 @@ def _det_f(outcome: FrameOutcome) -> NDArray[np.float32] | None:
     if outcome.deformation is None:
         return None
     return determinants(outcome.deformation).astype(np.float32)
+
+
+def _max_move(before: NDArray[np.float32], after: NDArray[np.float32]) -> float:
+    """The farthest that a particle has moved [dx]; inf if one is lost."""
+    squared = np.sum((after.astype(np.float64) - before) ** 2, axis=1)
+    return float(np.sqrt(np.where(np.isfinite(squared), squared, np.inf).max()))
 
 
 def _measure(

@@ -133,7 +133,10 @@ def test_nothing_left_is_the_worst_value() -> None:
     values = chamfer_metrics(lost, ORIGIN, spacing=0.5)
     assert values.keys() == chamfer_metrics(ORIGIN, ORIGIN, spacing=0.5).keys()
     assert values.pop("escaped") == 4
-    worst = {"lower": {"share": 1.0, "dx": math.inf, "h": math.inf}, "higher": {"share": 0.0}}
+    worst = {
+        "lower": {"share": 1.0, "dx": math.inf, "h": math.inf},
+        "higher": {"share": 0.0, "h": 0.0},
+    }
     for name, value in values.items():
         assert value == worst[METRICS[name].better][METRICS[name].unit], name
     fill = fill_metrics(lost, ORIGIN, spacing=0.5)
@@ -162,14 +165,17 @@ def test_unusable_targets_are_refused(measure, target: Cloud) -> None:
 def test_deformation_range() -> None:
     """The identity has det 1; a mirror -1; a lost particle spans everything."""
     identity, mirror = np.eye(3), np.diag([1.0, 1.0, -1.0])
-    assert deformation_metrics([identity]) == {"det_f_min": 1, "det_f_max": 1}
-    assert deformation_metrics([2 * identity, mirror]) == {"det_f_min": -1, "det_f_max": 8}
+    assert deformation_metrics([identity]) == dict.fromkeys(
+        ("det_f_min", "det_f_max", "det_f_mean"), 1
+    )
+    mixed = deformation_metrics([2 * identity, mirror])
+    assert mixed == {"det_f_min": -1, "det_f_max": 8, "det_f_mean": 3.5}
     lost = deformation_metrics([identity, np.full((3, 3), np.nan)])
-    assert lost == {"det_f_min": -math.inf, "det_f_max": math.inf}
+    assert lost == {"det_f_min": -math.inf, "det_f_max": math.inf, "det_f_mean": math.inf}
     random = np.random.default_rng(3).normal(size=(50, 3, 3))
     det = np.linalg.det(random)
     # two orders of evaluation of six products: a few float64 roundings apart
-    expected = {"det_f_min": det.min(), "det_f_max": det.max()}
+    expected = {"det_f_min": det.min(), "det_f_max": det.max(), "det_f_mean": det.mean()}
     assert deformation_metrics(random) == pytest.approx(expected, rel=1e-12)
 
 

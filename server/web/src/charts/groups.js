@@ -14,7 +14,9 @@ export const GROUPS = [
     unit: "share of particles",
     names: { overlap_01: "below 0.01 dx", overlap_h10: "0.1 h" },
   },
-  { title: "det F", unit: "ratio", names: { det_f_min: "least", det_f_max: "greatest" } },
+  { title: "Closest particles", unit: "h", names: { least_gap: "smallest distance" } },
+  { title: "det F", unit: "ratio", names: { det_f_min: "least", det_f_mean: "mean", det_f_max: "greatest" } },
+  { title: "Motion", unit: "dx a frame", names: { max_move: "farthest way" } },
   {
     title: "Losses",
     unit: "logarithmic",
@@ -34,6 +36,7 @@ export const FINAL = {
   iou: { label: "Volume overlap", unit: "share", better: "higher" },
   overlap_01: { label: "Coinciding within 0.01 dx", unit: "share", better: "lower" },
   overlap_h10: { label: "Coinciding within 0.1 h", unit: "share", better: "lower" },
+  least_gap: { label: "Smallest distance of two", unit: "h", better: "higher" },
   many_to_one: { label: "Distinct nearest targets", unit: "share", better: "higher" },
   rho_p05: { label: "Density, 5 % quantile", unit: "ratio", better: "one" },
   rho_p95: { label: "Density, 95 % quantile", unit: "ratio", better: "one" },
