@@ -1,0 +1,49 @@
+"""Make the pictures of the documentation again.
+
+    python -m docs.pictures --meshes DIR            # all of them, about four minutes
+    python -m docs.pictures page                    # those of the web page alone
+
+`page` needs chromium and the built page (make page); `morphs` needs the paper's meshes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from docs.pictures.morphs import morph_pictures
+from docs.pictures.page import page_pictures
+from docs.pictures.studies import study_pictures
+
+IMAGES = Path(__file__).resolve().parents[1] / "images"
+WHAT = ("page", "morphs", "studies")
+
+
+def main() -> None:
+    """Read the command line and draw."""
+    parser = argparse.ArgumentParser(
+        prog="python -m docs.pictures",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("what", nargs="*", help=f"of {', '.join(WHAT)}; all if none is named")
+    parser.add_argument("--meshes", type=Path, help="folder with sphere.obj and bunny.obj")
+    parser.add_argument("--to", type=Path, default=IMAGES, help="folder of the pictures")
+    arguments = parser.parse_args()
+    wanted = arguments.what or WHAT
+    if unknown := set(wanted) - set(WHAT):
+        parser.error(f"There are no pictures called {', '.join(sorted(unknown))}.")
+    if "morphs" in wanted and arguments.meshes is None:
+        parser.error("The pictures of morphs need --meshes, a folder with the paper's meshes.")
+    arguments.to.mkdir(parents=True, exist_ok=True)
+    if "studies" in wanted:
+        study_pictures(arguments.to)
+    if "morphs" in wanted:
+        morph_pictures(arguments.to, arguments.meshes)
+    if "page" in wanted:
+        page_pictures(arguments.to / "page")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
