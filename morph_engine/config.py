@@ -241,8 +241,13 @@ class EntropyConfig(_Section):
 class TransportConfig(_Section):
     """Destinations of `transport` and the way there (docs/method.md)."""
 
-    sweeps: Count = Field(
-        8, description="Rounds in which neighbours exchange destinations to shorten their ways."
+    places: Literal["even", "random"] = Field(
+        "even", description="Spread evenly over the target, or its points drawn at random."
+    )
+    sweeps: int = Field(
+        8,
+        ge=0,
+        description="Rounds in which neighbours exchange destinations to shorten their ways.",
     )
     group: int = Field(100, ge=2, le=2000, description="Particles that exchange at a time.")
     rest: float = Field(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from reproduction.experiment import Experiment, Row
-from reproduction.experiments import CONVERGED, CONVERGED_FRAMES, PAIR_NAMES, SEEDS, morph
+from reproduction.experiments import PAIR_NAMES, SEEDS, converged, morph
 from reproduction.run import Run
 
 PAIRS = (*PAIR_NAMES, *(("Sphere", target) for target in ("Dragon", "Heart", "C", "E", "V")))
@@ -102,16 +102,54 @@ REPEATS = Experiment(
 )
 
 
-def _converged(method: str) -> Run:
-    return morph(
-        "Sphere",
-        "Bunny",
-        method,
-        variant="converged",
-        frames=CONVERGED_FRAMES,
-        overrides=CONVERGED,
-    )
+WAY = ("least_gap_ever", "det_f_min_ever", "det_f_max_ever", "max_move_ever")
 
+MOTION = Experiment(
+    name="motion",
+    title="How transport gets there",
+    origin="not in the paper",
+    metrics=(*WAY, "det_f_mean", "kinetic_energy", "max_speed", "correction"),
+    rows=tuple(Row(_name(pair), (transport(*pair),), _name(pair)) for pair in PAIRS),
+    remarks=(
+        "The worst of all frames: the smallest distance of two particles (in h, at most 1), the "
+        "least and the greatest det F, and the farthest way of a particle in a frame (in dx). The "
+        "last four are of the last frame.",
+    ),
+    in_all=False,
+)
+
+REMOVED: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("All of it", "", {}),
+    ("Places drawn at random", "random", {"transport.places": "random"}),
+    ("Without exchanges", "sweeps0", {"transport.sweeps": 0}),
+    ("Without pressure", "soft", {"material.youngs_modulus": 1.0}),
+    ("Without correction", "grid", {"transport.correction": 0.0}),
+    ("Without the grid", "straight", {"transport.correction": 1000.0}),
+    ("Without rest", "restless", {"transport.rest": 0.0}),
+)
+"""Ingredients of `transport`, each left out once: label, variant, overrides."""
+
+INGREDIENTS = Experiment(
+    name="ingredients",
+    title="What each part of transport does",
+    origin="not in the paper",
+    metrics=("two_sided", "iou", "rho_p05", "rho_p95", "overlap_h10", *WAY),
+    rows=tuple(
+        Row(
+            f"{_name(pair)}: {label.lower()}",
+            (transport(*pair, variant=variant, overrides=overrides),),
+            _name(pair),
+        )
+        for pair in FEW_PAIRS
+        for label, variant, overrides in REMOVED
+    ),
+    remarks=(
+        "Each row leaves out one part. Without exchanges, the plan is that of compact groups; "
+        "without correction, the grid alone moves particles; without the grid, every particle "
+        "goes straight to its place.",
+    ),
+    in_all=False,
+)
 
 OBJECTIVES = Experiment(
     name="objectives",
@@ -121,10 +159,10 @@ OBJECTIVES = Experiment(
         "two_sided", "overlap_01", "overlap_h10", "many_to_one", "iou", "rho_p05", "rho_p95",
     ),
     rows=(
-        Row("Chamfer (DCO), converged", (_converged("dco"),)),
-        Row("Density-aware Chamfer, converged", (_converged("density_aware"),)),
-        Row("Sliced Wasserstein, converged", (_converged("swd"),)),
-        Row("Sinkhorn divergence, converged", (_converged("sinkhorn"),)),
+        Row("Chamfer (DCO), converged", (converged("dco"),)),
+        Row("Density-aware Chamfer, converged", (converged("density_aware"),)),
+        Row("Sliced Wasserstein, converged", (converged("swd"),)),
+        Row("Sinkhorn divergence, converged", (converged("sinkhorn"),)),
         Row("Transport", (transport("Sphere", "Bunny"),)),
     ),
     remarks=(
@@ -134,5 +172,7 @@ OBJECTIVES = Experiment(
     in_all=False,
 )  # fmt: skip
 
-BEYOND = {experiment.name: experiment for experiment in (TRANSPORT, FINER, REPEATS, OBJECTIVES)}
+EXPERIMENTS = (TRANSPORT, MOTION, FINER, REPEATS, INGREDIENTS, OBJECTIVES)
+
+BEYOND = {experiment.name: experiment for experiment in EXPERIMENTS}
 """All of them by name."""

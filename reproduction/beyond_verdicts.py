@@ -52,6 +52,40 @@ def bounds(table: Table) -> list[str]:
     return _within(table, [line.row.label for line in table.lines])
 
 
+def motion(table: Table) -> list[str]:
+    """The extremes of all trajectories together."""
+    extremes = []
+    for metric, words, worst in (
+        ("least_gap_ever", "the closest two particles are {:.2f} h apart", min),
+        ("det_f_min_ever", "det F stays above {:.2f}", min),
+        ("det_f_max_ever", "and below {:.2f}", max),
+        ("max_move_ever", "the farthest move in a frame is {:.2f} dx", max),
+    ):
+        values = [
+            value
+            for line in table.lines
+            if (value := table.ours(line.row.label, metric)) is not None
+        ]
+        if values:
+            extremes.append(words.format(worst(values)))
+    return [f"Over all pairs and frames {', '.join(extremes)}."] if extremes else []
+
+
+def ingredients(table: Table) -> list[str]:
+    """What leaving out a part changes, as the median over pairs."""
+    changes: dict[str, list[float]] = {}
+    for line in table.lines:
+        pair, _, label = line.row.label.partition(": ")
+        whole = table.ours(f"{pair}: all of it", "two_sided")
+        ours = table.ours(line.row.label, "two_sided")
+        if whole and ours is not None and label != "all of it":
+            changes.setdefault(label, []).append(ours / whole)
+    if not changes:
+        return []
+    parts = [f"{label} {median(values):.2f}" for label, values in changes.items()]
+    return [f"Two-sided distance in parts of the whole method's, medians: {'; '.join(parts)}."]
+
+
 def objectives(table: Table) -> list[str]:
     """Who collapses."""
     shares = [

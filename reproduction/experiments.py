@@ -381,18 +381,23 @@ TEASERS = Experiment(
 )
 
 
-def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, Any]) -> list[Row]:
-    """A method of points as tabulated, and converged."""
-    stopped = morph("Sphere", "Bunny", method, variant=variant, overrides=overrides)
-    converged = morph(
+def converged(method: str, variant: str = "", overrides: Mapping[str, Any] | None = None) -> Run:
+    """Sphere → Bunny by a method of points that is given the time to come to rest."""
+    return morph(
         "Sphere",
         "Bunny",
         method,
         variant="-".join(filter(None, (variant, "converged"))),
         frames=CONVERGED_FRAMES,
-        overrides={**overrides, **CONVERGED},
+        overrides={**(overrides or {}), **CONVERGED},
     )
-    return [_row(label, stopped, group="3"), _row(f"{label}, converged", converged, group="3")]
+
+
+def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, Any]) -> list[Row]:
+    """A method of points as tabulated, and converged."""
+    stopped = morph("Sphere", "Bunny", method, variant=variant, overrides=overrides)
+    end = converged(method, variant, overrides)
+    return [_row(label, stopped, group="3"), _row(f"{label}, converged", end, group="3")]
 
 
 FAIRNESS = Experiment(

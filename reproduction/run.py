@@ -30,7 +30,7 @@ CPU_SECONDS_PER_PARTICLE_FRAME = {
     "physics": 73e-6,
     "regularised": 30e-6,
     "shared_basis": 25e-6,
-    "transport": 20e-6,
+    "transport": 9e-6,
     "swd": 150e-6,
     "sinkhorn": 60e-6,
 }

@@ -7,6 +7,7 @@ another configuration or of a failed run counts as absent.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +25,11 @@ CURVES = (
     "targets_used", "loss_physics", "loss_chamfer",
 )  # fmt: skip
 """Metrics kept for every frame; the result file has all of them."""
+
+WORST: dict[str, Callable[[Iterable[float]], float]] = {
+    "least_gap": min, "det_f_min": min, "det_f_max": max, "max_move": max,
+}  # fmt: skip
+"""Metrics whose worst value over all frames is kept, too, with `_ever` after their name."""
 
 CURVE_DIGITS = 6
 
@@ -46,7 +52,9 @@ class Record(BaseModel):
     particle_count: int = 0
     target_count: int = 0
     frames: int = 0
-    metrics: dict[str, float] = Field(default_factory=dict, description="Of the last frame.")
+    metrics: dict[str, float] = Field(
+        default_factory=dict, description="Of the last frame, and see `WORST`."
+    )
     curves: dict[str, list[float]] = Field(default_factory=dict)
     cpu_seconds: float = Field(0.0, description="Of the process that finished it [s].")
 
@@ -125,6 +133,15 @@ class Store:
         return Trajectory(self.result_path(run))
 
 
+def _worst(result: Trajectory) -> dict[str, float]:
+    """The worst of a trajectory, by the metrics of `WORST`."""
+    return {
+        f"{name}_ever": float(worst(result.metrics[name]))
+        for name, worst in WORST.items()
+        if name in result.metrics and not np.isnan(result.metrics[name]).any()
+    }
+
+
 def measured(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:
     """The record of a finished run, taken from its result file.
 
@@ -148,7 +165,7 @@ def measured(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -
         particle_count=result.particle_count,
         target_count=len(result.target_points),
         frames=result.frame_count,
-        metrics=result.metrics_at(-1),
+        metrics=result.metrics_at(-1) | _worst(result),
         curves={
             name: [_short(value) for value in result.metrics[name]]
             for name in CURVES

@@ -160,7 +160,7 @@ def _mark_best(lines: list[Line], metric: str, group: str) -> None:
 
 def distance_from_ideal(metric: str, value: float) -> float:
     """A number that is the smaller the better a metric's value is."""
-    better = METRICS[metric].better
+    better = METRICS[metric.removesuffix("_ever")].better
     if better == "one":
         return abs(math.log(value)) if value > 0 else math.inf
     return value if better == "lower" else -value

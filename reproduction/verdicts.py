@@ -299,6 +299,8 @@ _VERDICTS: dict[str, Verdict] = {
     "fairness": _fairness,
     "trial": _trial,
     "transport": beyond_verdicts.transport,
+    "motion": beyond_verdicts.motion,
+    "ingredients": beyond_verdicts.ingredients,
     "finer": beyond_verdicts.bounds,
     "repeats": beyond_verdicts.bounds,
     "objectives": beyond_verdicts.objectives,

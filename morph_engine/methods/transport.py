@@ -16,7 +16,7 @@ from morph_engine.methods.matter import cell_order, make_simulation
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 from morph_engine.mpm import steering
 from morph_engine.mpm.state import Particles
-from morph_engine.transport import even_destinations, transport_plan
+from morph_engine.transport import even_destinations, random_destinations, transport_plan
 
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""
@@ -110,9 +110,11 @@ class Transport(Method):
         """Destination of each particle [dx], shape [n, 3]."""
         config = self.problem.config
         source = self.problem.source.astype(np.float64)
-        places = even_destinations(
-            self.problem.target.astype(np.float64), len(source), config.spacing, config.seed
-        )
+        target = self.problem.target.astype(np.float64)
+        if config.transport.places == "even":
+            places = even_destinations(target, len(source), config.spacing, config.seed)
+        else:
+            places = random_destinations(target, len(source), config.seed)
         plan = transport_plan(
             source,
             places,

@@ -44,6 +44,24 @@ def even_destinations(target: Points, count: int, spacing: float, seed: int = 0)
     return points
 
 
+def random_destinations(target: Points, count: int, seed: int = 0) -> Points:
+    """Target points drawn at random, to see what evenness is worth.
+
+    Args:
+        target: Target points [dx], shape [m, 3], float64.
+        count: Number of particles n; beyond m all points are taken, and some again.
+        seed: Of the choice.
+
+    Returns:
+        Destinations [dx], shape [n, 3], float64.
+    """
+    rng = np.random.default_rng(seed)
+    rounds = -(-count // len(target))
+    chosen = np.concatenate([rng.permutation(len(target)) for _ in range(rounds)])[:count]
+    drawn: Points = target[chosen]
+    return drawn
+
+
 def _inside_first(
     points: Points, number: int, spacing: float, rng: np.random.Generator
 ) -> NDArray[np.intp]:

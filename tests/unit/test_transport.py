@@ -9,7 +9,7 @@ from morph_engine import morph
 from morph_engine.presets import configure
 from morph_engine.sampling import sample_lattice
 from morph_engine.shapes import make
-from morph_engine.transport import even_destinations, transport_plan
+from morph_engine.transport import even_destinations, random_destinations, transport_plan
 from morph_engine.transport.groups import split, spread
 
 SPACING = 0.5
@@ -60,6 +60,15 @@ def test_places_are_evenly_dense(star):
     inside = cKDTree(star).query_ball_point(star, 2 * SPACING, return_length=True)
     placed = cKDTree(places).query_ball_point(star, 2 * SPACING, return_length=True)
     assert np.quantile(placed / inside, [0.05, 0.95]) / 1.2 == pytest.approx(1, abs=0.15)
+
+
+def test_random_places_are_target_points_and_none_is_taken_twice_before_all_are_taken(star):
+    """Fewer: each at most once. More: each once, some twice."""
+    few = random_destinations(star, len(star) // 2)
+    assert len(np.unique(few, axis=0)) == len(few)
+    many = random_destinations(star, len(star) * 3 // 2)
+    found, times = np.unique(many, axis=0, return_counts=True)
+    assert len(found) == len(star) and times.max() == 2
 
 
 def test_the_plan_is_within_two_per_cent_of_the_optimum():
