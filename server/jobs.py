@@ -138,7 +138,7 @@ def list_jobs(
     if owner is not None and not caller.sees(owner):
         raise ProblemError(403, "These are another key's jobs.", "Leave `owner` out.")
     before = pages.decode(cursor)
-    records = service.queue.list(
+    records = service.queue.newest(
         owner=caller.reach if owner is None else owner,
         states=set(state) or None,
         sweep=sweep,

@@ -114,7 +114,7 @@ class Limits:
     def _job_bytes(self, owner: str) -> int:
         total, before = 0, None
         while True:
-            page = self._queue.list(owner=owner, before=before, limit=PAGE)
+            page = self._queue.newest(owner=owner, before=before, limit=PAGE)
             total += sum(self._storage.job_bytes(record.id) for record in page)
             if len(page) < PAGE:
                 return total

@@ -249,7 +249,7 @@ def _unfinished_users(mesh_id: str, service: Service) -> list[tuple[str, str]]:
     """Id and owner of the unfinished jobs that use a mesh."""
     users, before = [], None
     while True:
-        page = service.queue.list(
+        page = service.queue.newest(
             states={JobState.QUEUED, JobState.RUNNING}, before=before, limit=PAGE
         )
         for record in page:

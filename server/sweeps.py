@@ -138,7 +138,7 @@ def _submit(
 
 
 def _show(stored: StoredSweep, service: Service) -> Sweep:
-    records = service.queue.list(sweep=stored.id, limit=JOBS)
+    records = service.queue.newest(sweep=stored.id, limit=JOBS)
     counts = dict.fromkeys(JobState, 0)
     for record in records:
         counts[record.state] += 1

@@ -110,7 +110,7 @@ def _finished(queue: JobQueue) -> list[JobRecord]:
     records: list[JobRecord] = []
     while True:
         last = (records[-1].created_at, records[-1].id) if records else None
-        page = queue.list(states=FINISHED, before=last, limit=1000)
+        page = queue.newest(states=FINISHED, before=last, limit=1000)
         records += page
         if len(page) < 1000:
             return records

@@ -173,7 +173,7 @@ class JobQueue:
         query = self._versions().where(self._table.c.workflow_uuid == job_id)
         return next(iter(self._records(query)), None)
 
-    def list(
+    def newest(
         self,
         *,
         owner: str | None = None,
@@ -344,7 +344,7 @@ class JobQueue:
         columns = (t.c.workflow_uuid, t.c.status, t.c.executor_id, t.c.updated_at)
         return sa.select(*columns).where(t.c.name == WORKFLOW)
 
-    def _records(self, query: sa.Select[Any]) -> Sequence[JobRecord]:
+    def _records(self, query: sa.Select[Any]) -> list[JobRecord]:
         """The jobs of a query for versions; those that have not changed are not read again."""
         if len(self._read) > RECORDS_KEPT:
             self._read = {}

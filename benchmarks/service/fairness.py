@@ -46,8 +46,8 @@ def measure(place: Place) -> list[Figure]:
         asking = operations(queue, spec, ids[KEYS[1]][-1])
         wait_for(queue, lambda counts: counts[JobState.SUCCEEDED] >= already + TO_FINISH)
     states = set(JobState) - {JobState.QUEUED}
-    begun = [record for key in KEYS for record in queue.list(owner=key, states=states)]
-    for record in queue.list(states={JobState.QUEUED, JobState.RUNNING}, limit=10**6):
+    begun = [record for key in KEYS for record in queue.newest(owner=key, states=states)]
+    for record in queue.newest(states={JobState.QUEUED, JobState.RUNNING}, limit=10**6):
         queue.cancel(record.id)
     queue.close()
     return [
@@ -76,8 +76,10 @@ def operations(queue: JobQueue, spec: JobSpec, job: str) -> dict[str, float]:
     turns = iter(KEYS * REPEATS)
     calls: dict[str, Callable[[], object]] = {
         "get": lambda: queue.get(job),
-        "list of 50": lambda: queue.list(limit=50),
-        "list of a key's 50": lambda: queue.list(owner=KEYS[0], states={JobState.QUEUED}, limit=50),
+        "list of 50": lambda: queue.newest(limit=50),
+        "list of a key's 50": lambda: queue.newest(
+            owner=KEYS[0], states={JobState.QUEUED}, limit=50
+        ),
         "counts": queue.counts,
         "counts of a key": lambda: queue.counts(KEYS[0]),
         "position": lambda: queue.position(job),

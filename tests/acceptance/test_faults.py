@@ -272,7 +272,7 @@ def test_same_id_twice(cluster):
     """A job submitted twice under one id is one job."""
     job = cluster.submit()
     assert not cluster.queue.enqueue(cluster.job(job).spec, job_id=job, owner="")
-    assert [record.id for record in cluster.queue.list()] == [job]
+    assert [record.id for record in cluster.queue.newest()] == [job]
 
 
 def test_owners_take_turns(cluster):
@@ -284,7 +284,7 @@ def test_owners_take_turns(cluster):
     for job in modest:
         cluster.wait_for_state(job, JobState.SUCCEEDED)
     started = sorted(
-        (r for r in cluster.queue.list() if r.started_at), key=lambda record: record.started_at
+        (r for r in cluster.queue.newest() if r.started_at), key=lambda record: record.started_at
     )
     assert {r.id for r in started[:7]} >= set(modest)
 
@@ -361,7 +361,7 @@ def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
         time.sleep(3)
         own_postgres.run("start")
         assert len(list(queued)) == len(wanted)
-    found = [record.id for record in cluster.queue.list(limit=1000)]
+    found = [record.id for record in cluster.queue.newest(limit=1000)]
     assert len(found) == len(wanted) + 1
     assert set(wanted) < set(found)
 

@@ -36,7 +36,7 @@ def test_retention(cluster):
     time.sleep(0.1)
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
     assert set(delete_expired(by_age, queue)) == set(finished[1:])
-    assert [record.id for record in queue.list()] == [queued]
+    assert [record.id for record in queue.newest()] == [queued]
 
 
 def test_abandoned_uploads(tmp_path):

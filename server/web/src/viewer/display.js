@@ -96,6 +96,11 @@ export class Display {
   }
 }
 
+/** Which axis stands upright, as was last chosen. */
+export function upright() {
+  return stored().up ?? USUAL.up;
+}
+
 function stored() {
   try {
     const found = JSON.parse(localStorage.getItem(PLACE)) ?? {};

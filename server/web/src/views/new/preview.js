@@ -4,6 +4,7 @@ import { points } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
 import { problem } from "../../router.js";
+import { upright } from "../../viewer/display.js";
 
 const PATIENCE = 250; // [ms] of quiet before particles are asked for
 
@@ -64,6 +65,7 @@ export class Preview {
         reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches,
       });
     }
+    this.viewer.setUp(upright());
     this.viewer.canvas.setAttribute("aria-label", this.label);
     this.viewer.setFrame(0, positions);
   }
