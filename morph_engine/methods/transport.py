@@ -21,6 +21,9 @@ from morph_engine.transport import even_destinations, random_destinations, trans
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""
 
+COURANT = 0.4
+"""What an elastic wave travels in a time step, at most [cells]."""
+
 STEEPEST = 1.5
 """Largest slope of `ease`."""
 
@@ -125,12 +128,14 @@ class Transport(Method):
         return places[plan].astype(np.float32)
 
     def _steps_per_frame(self, goal: NDArray[np.float32]) -> int:
-        """As many as the configuration asks for, or more where particles would be too fast."""
+        """As many as the configuration asks for, or more for fast particles and stiff matter."""
         config = self.problem.config
         farthest = float(np.linalg.norm(goal - self.problem.source, axis=1).max())
         frames = (1 - config.transport.rest) * config.frames
         cells = STEEPEST * farthest / frames / config.grid.dx
-        return max(config.time.transitions_per_frame, math.ceil(cells / CELLS_PER_STEP))
+        waves = self._frame_seconds * config.material.sound_speed / config.grid.dx
+        least = max(cells / CELLS_PER_STEP, waves / COURANT)
+        return max(config.time.transitions_per_frame, math.ceil(least))
 
     def _numbers(
         self, goal: NDArray[np.float32], share: float, corrected: NDArray[Any]
