@@ -156,8 +156,9 @@ def undisturbed(folder: Path, frame_count: int) -> np.ndarray:
     """Positions of the job when nothing disturbs it."""
     out = folder / "undisturbed.vtkhdf"
     subprocess.run(
-        [sys.executable, "-m", "client", "run", "sphere", "star", "--points-per-cell-edge", "1",
-         "--frames", str(frame_count), "--device", "cpu", "--out", out, "--quiet"],
+        [sys.executable, "-m", "client", "run", "sphere", "star", "--method", "joint",
+         "--points-per-cell-edge", "1", "--frames", str(frame_count), "--device", "cpu",
+         "--out", out, "--quiet"],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     with Trajectory(out) as result:
@@ -170,6 +171,7 @@ def submit(service: Service, number: int, frame_count: int) -> str:
         "source": {"shape": "sphere"},
         "target": {"shape": "star"},
         "overrides": {"sampling.points_per_cell_edge": 1},
+        "method": "joint",
         "frames": frame_count,
         "device": "cpu",
     }

@@ -1,6 +1,6 @@
 """Compare methods on the same two shapes: numbers side by side, and where the particles lie.
 
-    python examples/compare_methods.py --methods joint,physics,dco --frames 12
+    python examples/compare_methods.py --methods transport,joint,dco --frames 12
 
 Which numbers compare what, and which of them have floors, is told in docs/metrics.md.
 """
@@ -24,7 +24,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--source", default="sphere")
     parser.add_argument("--target", default="star")
-    parser.add_argument("--methods", default="joint,physics,dco")
+    parser.add_argument("--methods", default="transport,joint,dco")
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--points", type=int, default=2, help="particles per grid cell edge")
     parser.add_argument("--picture", type=Path, default=Path("methods.png"))

@@ -104,6 +104,7 @@ def wait_until_ready(api: httpx.Client) -> None:
 def body(frames: int, points_per_cell_edge: int = 1) -> dict[str, Any]:
     """A request for a job on the CPU; 1 point per cell edge makes the smallest."""
     return {
+        "method": "joint",
         "source": {"shape": "sphere"},
         "target": {"shape": "star"},
         "overrides": {"sampling.points_per_cell_edge": points_per_cell_edge},

@@ -69,8 +69,9 @@ class Cluster:
         timeout: float = 300,
         priority: int = 100,
     ) -> str:
-        """Queue a small job."""
-        config = configure("fast", {"sampling.points_per_cell_edge": 1, "frames": frames})
+        """Queue a small job whose frames take a while."""
+        settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "frames": frames}
+        config = configure("fast", settings)
         spec = JobSpec(
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),

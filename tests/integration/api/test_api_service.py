@@ -27,6 +27,7 @@ from morph_engine.trajectory import Trajectory
 JOB: dict[str, Any] = {
     "source": {"shape": "sphere"},
     "target": {"shape": "star"},
+    "method": "joint",
     "overrides": {"sampling.points_per_cell_edge": 2},
     "frames": 3,
 }
