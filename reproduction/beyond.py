@@ -18,7 +18,17 @@ FEW_PAIRS = (
 )  # fmt: skip
 """Volumes alike and unlike, thin parts and thick ones."""
 
-FILL = ("two_sided", "f1", "hausdorff", "iou", "rho_p05", "rho_p95", "rho_p99", "overlap_h10")
+FILL = (
+    "two_sided",
+    "f1",
+    "hausdorff",
+    "iou",
+    "rho_p05",
+    "rho_p95",
+    "rho_p99",
+    "overlap_h10",
+    "surface_mean",
+)
 
 
 def transport(

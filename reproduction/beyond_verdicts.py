@@ -15,6 +15,7 @@ BOUNDS: tuple[Bound, ...] = (
     ("rho_p95", "a 95 % quantile above 1.45", lambda value: value > 1.45),
     ("rho_p99", "a 99 % quantile above 2", lambda value: value > 2.0),
     ("hausdorff", "a Hausdorff distance above .9", lambda value: value > 0.9),
+    ("surface_mean", "a surface farther than .20 from the target's", lambda value: value > 0.2),
     ("overlap_h10", "particles closer than .1 h to another", lambda value: value > 0),
 )
 """What a full and even morph keeps to."""

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from morph_engine.config import MorphConfig
 from morph_engine.durable import replacing
 from morph_engine.errors import ResultError
+from morph_engine.mesh import Mesh
 from morph_engine.run_record import software_versions
+from morph_engine.surface import deviation, surface
 from morph_engine.trajectory import Trajectory
 from reproduction.run import Run
 
@@ -142,6 +146,18 @@ def _worst(result: Trajectory) -> dict[str, float]:
     }
 
 
+def _surface(result: Trajectory) -> dict[str, float]:
+    """How far the surface of the last frame of matter is from the target's, `surface_mean` [dx]."""
+    target = result.run.target
+    if "det_f_min" not in result.metrics or not isinstance(target, Mesh):
+        return {}
+    to_grid = np.linalg.inv(result.transform)
+    vertices = target.vertices @ to_grid[:3, :3].T + to_grid[:3, 3]
+    spacing = MorphConfig.model_validate(result.config).spacing
+    found = surface(result.positions(-1), spacing)
+    return {"surface_mean": deviation(found, replace(target, vertices=vertices))["mean"]}
+
+
 def measured(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:
     """The record of a finished run, taken from its result file.
 
@@ -165,7 +181,7 @@ def measured(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -
         particle_count=result.particle_count,
         target_count=len(result.target_points),
         frames=result.frame_count,
-        metrics=result.metrics_at(-1) | _worst(result),
+        metrics=result.metrics_at(-1) | _worst(result) | _surface(result),
         curves={
             name: [_short(value) for value in result.metrics[name]]
             for name in CURVES

@@ -160,7 +160,8 @@ def _mark_best(lines: list[Line], metric: str, group: str) -> None:
 
 def distance_from_ideal(metric: str, value: float) -> float:
     """A number that is the smaller the better a metric's value is."""
-    better = METRICS[metric.removesuffix("_ever")].better
+    name = metric.removesuffix("_ever")
+    better = METRICS[name].better if name in METRICS else "lower"
     if better == "one":
         return abs(math.log(value)) if value > 0 else math.inf
     return value if better == "lower" else -value
