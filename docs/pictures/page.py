@@ -103,7 +103,7 @@ def _jobs(client: MorphClient) -> list[str]:
 def _views(jobs: list[str]) -> tuple[View, ...]:
     return (
         View("jobs", "/", _jobs_are_there),
-        View("new", "/new?source=shape:sphere&target=text:MPM", _previews_are_there),
+        View("new", "/new?source=shape:sphere&target=shape:text:MPM", _previews_are_there),
         View("job", f"/jobs/{jobs[0]}", _scenes_are_there(1)),
         View("compare", f"/compare?jobs={','.join(jobs)}", _scenes_are_there(len(jobs))),
     )
@@ -111,13 +111,13 @@ def _views(jobs: list[str]) -> tuple[View, ...]:
 
 def _jobs_are_there(page: Page) -> None:
     expect(page.get_by_role("link", name="waiting", exact=True)).to_be_visible()
-    page.wait_for_function("[...document.images].every(image => image.complete)")
+    expect(page.locator(".thumbnail img").first).to_be_visible()
 
 
 def _previews_are_there(page: Page) -> None:
     for label in ("From", "To"):
         card = page.get_by_role("region", name=label, exact=True)
-        expect(card.get_by_role("status")).to_contain_text("particles")
+        expect(card.get_by_role("status")).to_have_text(re.compile(r"\d particles"))
 
 
 def _scenes_are_there(count: int) -> Callable[[Page], None]:
@@ -141,6 +141,9 @@ def _picture(browser: Browser, server: str, view: View, width: str, scheme: str)
     page = context.new_page()
     page.goto(view.path)
     view.prepare(page)
+    page.wait_for_timeout(SETTLED)
+    height = page.evaluate("document.documentElement.scrollHeight")
+    page.set_viewport_size({"width": horizontal, "height": height})  # what sticks is at the bottom
     page.wait_for_timeout(SETTLED)
     image = Image.open(io.BytesIO(page.screenshot(full_page=True)))
     context.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -51,6 +52,27 @@ def test_assets_are_kept_for_ever_and_sent_compressed(api: Api, built: Path) -> 
     for strange in ("none.js", "..%2Fsecret", "%2e%2e", "..%5Csecret", "a%00b"):
         answer = api.http.get(f"/assets/{strange}")
         assert answer.status_code == 404 and answer.json()["detail"]
+
+
+def test_the_document_announces_what_its_view_will_ask_for(api: Api, built: Path) -> None:
+    """Scripts and styles of the view and of what it imports, each once; none that others need."""
+    (built / ".vite").mkdir()
+    manifest = {
+        "src/views/job/job.js": {"file": "assets/job.js", "imports": ["_dom.js"], "css": ["j.css"]},
+        "src/viewer/viewer.js": {"file": "assets/viewer.js", "imports": ["_dom.js"]},
+        "src/views/jobs/jobs.js": {"file": "assets/jobs.js"},
+        "_dom.js": {"file": "assets/dom.js", "imports": ["src/views/job/job.js"]},
+    }
+    (built / ".vite" / "manifest.json").write_text(json.dumps(manifest))
+    announced = api.http.get(f"/jobs/{'0' * 26}").headers["link"].split(", ")
+    assert sorted(announced) == [
+        "</assets/dom.js>; rel=modulepreload",
+        "</assets/job.js>; rel=modulepreload",
+        "</assets/viewer.js>; rel=modulepreload",
+        "</j.css>; rel=preload; as=style",
+    ]
+    assert "jobs.js" in api.http.get("/").headers["link"]
+    assert "link" not in api.http.get("/new").headers
 
 
 def test_a_page_that_is_not_built_says_so(
