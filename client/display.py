@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from client.live import Live
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""
 
 
-class RunDisplay:
+class RunDisplay(Live):
     """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
 
     On a terminal it is one live line; elsewhere each frame is a line of its own.
@@ -37,40 +37,21 @@ class RunDisplay:
     """
 
     def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
-        self._console = Console(file=sys.stderr, quiet=quiet, highlight=False)
-        self._frame_count = frame_count
-        self._recent: deque[float] = deque(maxlen=5)
-        self._progress = Progress(
+        super().__init__(
             TextColumn("{task.completed}/{task.total}"),
             BarColumn(),
             TextColumn("{task.description}"),
-            console=self._console,
-            transient=True,
-            disable=quiet or not self._console.is_terminal,
+            quiet=quiet,
         )
+        self._frame_count = frame_count
+        self._recent: deque[float] = deque(maxlen=5)
         self._task = self._progress.add_task("preparing", total=frame_count)
-
-    def __enter__(self) -> RunDisplay:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def show(self, frame: Frame) -> None:
         """Show a finished frame."""
         for event in frame.events:
             self.note(event.message)
         self.advance(frame.index, frame.metrics, frame.seconds)
-
-    def note(self, text: str) -> None:
-        """Say something that stays."""
-        self._console.print(Text(text))
 
     def describe(self, text: str, *, done: int | None = None) -> None:
         """Say what goes on, on a terminal only.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -162,57 +163,41 @@ def watch(
         _watch_to_end(client, client.job(job_id), quiet=quiet, as_json=as_json)
 
 
-@app.command(rich_help_panel=PANEL)
-def cancel(
-    job_ids: JobArguments,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: AsJson = False,
-) -> None:
-    """Stop jobs; their finished frames stay."""
-    with connect(server, key) as client:
-        _each(job_ids, lambda job: _document(client.cancel(job)), as_json=as_json)
+def _command(name: str, meaning: str, act: Callable[[MorphClient, str], dict[str, Any]]) -> None:
+    """Add a command that does the same with each job that it is given."""
+
+    @app.command(name, help=meaning, rich_help_panel=PANEL)
+    def command(
+        job_ids: JobArguments,
+        server: ServerOption = None,
+        key: KeyOption = None,
+        as_json: AsJson = False,
+    ) -> None:
+        with connect(server, key) as client:
+            _each(job_ids, partial(act, client), as_json=as_json)
 
 
-@app.command(rich_help_panel=PANEL)
-def retry(
-    job_ids: JobArguments,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: AsJson = False,
-) -> None:
-    """Compute finished jobs again from the beginning; what they left is deleted."""
-    with connect(server, key) as client:
-        _each(job_ids, lambda job: _document(client.retry(job)), as_json=as_json)
+def _delete(client: MorphClient, job_id: str) -> dict[str, Any]:
+    client.delete(job_id)
+    return {"id": job_id, "state": "deleted"}
 
 
-@app.command(rich_help_panel=PANEL)
-def resume(
-    job_ids: JobArguments,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: AsJson = False,
-) -> None:
-    """Let cancelled or failed jobs go on after their last finished frame."""
-    with connect(server, key) as client:
-        _each(job_ids, lambda job: _document(client.resume(job)), as_json=as_json)
-
-
-@app.command(rich_help_panel=PANEL)
-def delete(
-    job_ids: JobArguments,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: AsJson = False,
-) -> None:
-    """Delete finished jobs and their results."""
-
-    def gone(job_id: str) -> dict[str, Any]:
-        client.delete(job_id)
-        return {"id": job_id, "state": "deleted"}
-
-    with connect(server, key) as client:
-        _each(job_ids, gone, as_json=as_json)
+_command(
+    "cancel",
+    "Stop jobs; their finished frames stay.",
+    lambda client, job: _document(client.cancel(job)),
+)
+_command(
+    "retry",
+    "Compute finished jobs again from the beginning; what they left is deleted.",
+    lambda client, job: _document(client.retry(job)),
+)
+_command(
+    "resume",
+    "Let cancelled or failed jobs go on after their last finished frame.",
+    lambda client, job: _document(client.resume(job)),
+)
+_command("delete", "Delete finished jobs and their results.", _delete)
 
 
 @app.command(rich_help_panel=PANEL)

@@ -6,14 +6,14 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, TaskID, TextColumn
 from rich.table import Table
 from rich.text import Text
 
 from client.display import PIPED_WIDTH, clock
+from client.live import Live
 from reproduction.execution import Progress as RunProgress
 from reproduction.run import Run
 from reproduction.section import Grid, Section
@@ -23,7 +23,7 @@ SETTLED_SHARE = 0.02
 """From here on the time left follows from what has been measured, not from the estimate."""
 
 
-class ReproductionDisplay:
+class ReproductionDisplay(Live):
     """A line for the whole and one for each run under way; elsewhere a line per finished run.
 
     Args:
@@ -32,33 +32,18 @@ class ReproductionDisplay:
     """
 
     def __init__(self, *, jobs: int, quiet: bool) -> None:
-        self._jobs = jobs
-        self._console = Console(file=sys.stderr, quiet=quiet, highlight=False)
-        self._progress = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.fields[note]}"),
-            console=self._console,
-            transient=True,
-            disable=quiet or not self._console.is_terminal,
+            quiet=quiet,
         )
+        self._jobs = jobs
         self._whole = self._progress.add_task("all", total=1.0, note="")
         self._tasks: dict[str, TaskID] = {}
         self._told: set[str] = set()
         self._begun = time.monotonic()
         self._done_at_first: float | None = None
-
-    def __enter__(self) -> ReproductionDisplay:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def show(self, progress: RunProgress) -> None:
         """Show how far the runs have come."""
@@ -67,7 +52,7 @@ class ReproductionDisplay:
         for run_id, record in progress.finished.items():
             if run_id not in self._told:
                 self._told.add(run_id)
-                self._console.print(Text(f"{counts}  {_outcome(record)}  left {left}"))
+                self.note(f"{counts}  {_outcome(record)}  left {left}")
         share = progress.cost_done / progress.cost if progress.runs else 1.0
         self._progress.update(self._whole, completed=share, note=f"{counts}  left {left}")
         frames = {run.id: run.frames for run in progress.runs}
