@@ -29,7 +29,8 @@ RATES = {
     "density_aware": Rates(9e-6, 6e-6, 0.8, 0.4),
     "shared_basis": Rates(20e-6, 5e-6, 1.3, 0.3),
     "transport": Rates(9e-6, 2e-6, 2.6, 0.2),
-    "swd": Rates(150e-6, 6e-6, 3.0, 2.0),
+    "swd": Rates(70e-6, 6e-6, 3.0, 2.0),
+    "sinkhorn": Rates(400e-6, 6e-6, 3.0, 2.0),
 }
 """Of single methods; every other method costs what `PHYSICS` says."""
 

@@ -31,8 +31,8 @@ CPU_SECONDS_PER_PARTICLE_FRAME = {
     "regularised": 30e-6,
     "shared_basis": 25e-6,
     "transport": 9e-6,
-    "swd": 150e-6,
-    "sinkhorn": 60e-6,
+    "swd": 70e-6,
+    "sinkhorn": 400e-6,
 }
 CPU_SECONDS_PER_POINT_FRAME = 15e-6
 QUICK_SHARE = 0.4
