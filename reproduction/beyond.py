@@ -172,7 +172,7 @@ OBJECTIVES = Experiment(
         Row("Chamfer (DCO), converged", (converged("dco"),)),
         Row("Density-aware Chamfer, converged", (converged("density_aware"),)),
         Row("Sliced Wasserstein, converged", (converged("swd"),)),
-        Row("Sinkhorn divergence, converged", (converged("sinkhorn"),)),
+        Row("Sinkhorn divergence, 1800 steps", (converged("sinkhorn", frames=60),)),
         Row("Transport", (transport("Sphere", "Bunny"),)),
     ),
     remarks=(

@@ -381,14 +381,20 @@ TEASERS = Experiment(
 )
 
 
-def converged(method: str, variant: str = "", overrides: Mapping[str, Any] | None = None) -> Run:
+def converged(
+    method: str,
+    variant: str = "",
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    frames: int = CONVERGED_FRAMES,
+) -> Run:
     """Sphere → Bunny by a method of points that is given the time to come to rest."""
     return morph(
         "Sphere",
         "Bunny",
         method,
         variant="-".join(filter(None, (variant, "converged"))),
-        frames=CONVERGED_FRAMES,
+        frames=frames,
         overrides={**(overrides or {}), **CONVERGED},
     )
 
