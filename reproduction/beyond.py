@@ -75,7 +75,7 @@ FINER = Experiment(
     name="finer",
     title="Transport at higher resolution",
     origin="not in the paper",
-    metrics=(*FILL, "escaped"),
+    metrics=(*FILL, "escaped", "outside_max"),
     rows=(
         *(
             Row(f"{_name(pair)}, 4 per edge", (transport(*pair, edge=4),), "4 per edge")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from statistics import median
 
-from reproduction.tables import Table
+from reproduction.tables import Table, distance_from_ideal
 
 Bound = tuple[str, str, Callable[[float], bool]]
 
@@ -20,37 +20,70 @@ BOUNDS: tuple[Bound, ...] = (
 )
 """What a full and even morph keeps to."""
 
+NAMES = {
+    "iou": "volume overlap",
+    "rho_p05": "5 % quantile of the density",
+    "rho_p95": "95 % quantile",
+    "rho_p99": "99 % quantile",
+    "hausdorff": "Hausdorff distance",
+    "surface_mean": "distance of the surfaces",
+    "overlap_h10": "share of particles closer than .1 h to another",
+}
+
 
 def transport(table: Table) -> list[str]:
     """Transport against joint, pair by pair, and against the bounds of a full, even morph."""
-    pairs = dict.fromkeys(line.row.group for line in table.lines)
-    ratios, f1 = {}, {}
-    for pair in pairs:
-        ours, joint = (
-            table.ours(f"{pair}, {name}", "two_sided") for name in ("transport", "joint")
-        )
-        if ours is not None and joint:
-            ratios[pair] = ours / joint
-        ours, joint = (table.ours(f"{pair}, {name}", "f1") for name in ("transport", "joint"))
-        if ours is not None and joint is not None:
-            f1[pair] = ours - joint
+    pairs = list(dict.fromkeys(line.row.group for line in table.lines))
     sentences = []
-    if ratios:
+    distances = _beside_joint(table, pairs, "two_sided")
+    if distances:
+        ratios = {pair: ours / joint for pair, (ours, joint) in distances.items()}
         worst = max(ratios, key=lambda pair: ratios[pair])
         sentences.append(
             f"Two-sided distance in parts of joint's: median {median(ratios.values()):.2f}, "
             f"at most {ratios[worst]:.2f} ({worst}), over {len(ratios)} pairs."
         )
-    if f1:
-        worst = min(f1, key=lambda pair: f1[pair])
-        sentences.append(f"F1 is {f1[worst]:+.3f} of joint's at the least ({worst}).")
+    for metric, words in (("f1", "F1"), ("iou", "Volume overlap")):
+        numbers = _beside_joint(table, pairs, metric)
+        if numbers:
+            gains = {pair: ours - joint for pair, (ours, joint) in numbers.items()}
+            worst = min(gains, key=lambda pair: gains[pair])
+            sentences.append(f"{words} is {gains[worst]:+.3f} of joint's at the least ({worst}).")
     labels = [line.row.label for line in table.lines if line.row.label.endswith(", transport")]
-    return [*sentences, *_within(table, labels)]
+    return [*sentences, *_cost(table), *_extremes(table, labels), *_within(table, labels)]
+
+
+def _cost(table: Table) -> list[str]:
+    """CPU time of a run of either method."""
+    seconds: dict[str, list[float]] = {}
+    for line in table.lines:
+        method = line.row.label.rpartition(", ")[2]
+        costs = [record.cpu_seconds for record in line.records if record.is_complete]
+        seconds.setdefault(method, []).extend(costs)
+    parts = [
+        f"{method} {median(costs):.0f} s (at most {max(costs):.0f})"
+        for method, costs in seconds.items()
+        if costs
+    ]
+    return [f"CPU time of a run, median: {'; '.join(parts)}."] if parts else []
+
+
+def _beside_joint(
+    table: Table, pairs: Sequence[str], metric: str
+) -> dict[str, tuple[float, float]]:
+    """A metric of transport and of joint, by pair, where both are known."""
+    found = {}
+    for pair in pairs:
+        ours, joint = (table.ours(f"{pair}, {name}", metric) for name in ("transport", "joint"))
+        if ours is not None and joint is not None:
+            found[pair] = ours, joint
+    return found
 
 
 def bounds(table: Table) -> list[str]:
     """Every row against the bounds of a full, even morph."""
-    return _within(table, [line.row.label for line in table.lines])
+    labels = [line.row.label for line in table.lines]
+    return [*_extremes(table, labels), *_within(table, labels)]
 
 
 def motion(table: Table) -> list[str]:
@@ -95,6 +128,22 @@ def objectives(table: Table) -> list[str]:
         if (value := table.ours(line.row.label, "overlap_h10")) is not None
     ]
     return [f"Particles closer than .1 h to another: {'; '.join(shares)}."] if shares else []
+
+
+def _extremes(table: Table, labels: Sequence[str]) -> list[str]:
+    """The worst row of each bounded metric, and the median."""
+    parts = []
+    for metric, *_ in BOUNDS:
+        values = {
+            label: value for label in labels if (value := table.ours(label, metric)) is not None
+        }
+        if values:
+            worst = max(values, key=lambda label: distance_from_ideal(metric, values[label]))
+            parts.append(
+                f"{NAMES[metric]} {values[worst]:.3f} ({worst}), median "
+                f"{median(values.values()):.3f}"
+            )
+    return [f"The worst of {len(labels)} rows: {'; '.join(parts)}."] if parts else []
 
 
 def _within(table: Table, labels: Sequence[str]) -> list[str]:

@@ -28,6 +28,7 @@ METRIC_NAMES = {
     "rho_p95": "density 95%",
     "rho_p99": "density 99%",
     "surface_mean": "surface",
+    "outside_max": "farthest outside",
     "least_gap_ever": "least gap / h",
     "det_f_min_ever": "least det F",
     "det_f_max_ever": "greatest det F",
