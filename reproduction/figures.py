@@ -168,15 +168,17 @@ def _sections(labels: Sequence[str]) -> Draw:
     return lambda table, store: cross_sections(_clouds(table, store, labels, labels))
 
 
-def _densities(labels: Sequence[str]) -> Draw:
+def _densities(labels: Sequence[str], titles: Sequence[str] = ()) -> Draw:
     def draw(table: Table, store: Store) -> Figure:
-        target, *clouds = _clouds(table, store, labels, labels)
+        target, *clouds = _clouds(table, store, labels, titles or labels)
         return densities(clouds, target)
 
     return draw
 
 
 _AGAINST = "Printed numbers (hollow), the published program's (diamonds) and ours (filled)."
+
+_PARTS = ("all of it", "places drawn at random", "without correction", "without the grid")
 
 PLANS: dict[str, tuple[Plan, ...]] = {
     "regularisers": (
@@ -260,6 +262,27 @@ PLANS: dict[str, tuple[Plan, ...]] = {
             _densities(
                 ["DCO", "DCO, converged", "DCD, converged", "Density-aware (Wu et al.), converged",
                  "Shared basis, converged", "Physics", "Joint", "Joint, preset fast"]
+            ),
+        ),
+    ),
+    "ingredients": (
+        Plan(
+            "densities",
+            "Cow → Duck: how evenly the final particles fill the Duck, in a slice through its "
+            "middle.",
+            _densities(
+                [f"Cow → Duck: {part}" for part in _PARTS], [part.capitalize() for part in _PARTS]
+            ),
+        ),
+    ),
+    "objectives": (
+        Plan(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["Chamfer (DCO), converged", "Density-aware Chamfer, converged",
+                 "Sliced Wasserstein, converged", "Sinkhorn divergence, 1800 steps", "Transport"],
+                ["Chamfer", "Density-aware", "Sliced Wasserstein", "Sinkhorn", "Transport"],
             ),
         ),
     ),
