@@ -198,7 +198,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Positions of a small job that nothing disturbed, shape [frames, n, 3]."""
     out = tmp_path_factory.mktemp("undisturbed") / "result.vtkhdf"
     subprocess.run(
-        [sys.executable, "-m", "client", "run", "sphere", "star", "--points-per-cell-edge", "1",
+        [sys.executable, "-m", "client", "run", "sphere", "star", "--method", "joint",
+         "--points-per-cell-edge", "1",
          "--frames", str(FRAMES), "--device", "cpu", "--out", out, "--quiet"],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
