@@ -64,9 +64,11 @@ export class Viewer {
    */
   constructor(element, { reducedMotion = false, onView = () => {} } = {}) {
     this.element = element;
-    this.software = software();
-    this.renderer = new WebGLRenderer({ antialias: !this.software, alpha: true });
-    this.canvas = this.renderer.domElement;
+    const { canvas, software } = freshCanvas();
+    this.software = software;
+    this.canvas = canvas;
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true });
+    if (software) this.renderer.setPixelRatio(COARSE.pixelRatio); // as the first picture will be
     this.canvas.setAttribute("role", "img");
     element.append(this.canvas);
 
@@ -445,15 +447,24 @@ function vertexColors(values, { low, high, palette: name }, near, plain) {
 
 let drawsOnProcessor;
 
-/** @returns {boolean} whether there is no graphics card, so that every pixel costs. */
-function software() {
+/**
+ * A canvas to draw on. Where no graphics card is there every pixel costs, so that the first context,
+ * which finds that out, has no smooth edges and is kept.
+ *
+ * @returns {{canvas: HTMLCanvasElement, software: boolean}}
+ */
+function freshCanvas() {
+  const canvas = document.createElement("canvas");
   if (drawsOnProcessor === undefined) {
-    const gl = document.createElement("canvas").getContext("webgl2");
+    const gl = canvas.getContext("webgl2", { antialias: false });
     const info = gl?.getExtension("WEBGL_debug_renderer_info");
     drawsOnProcessor = SOFTWARE.test(gl?.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
-    gl?.getExtension("WEBGL_lose_context")?.loseContext();
+    if (!drawsOnProcessor) {
+      gl?.getExtension("WEBGL_lose_context")?.loseContext();
+      return freshCanvas();
+    }
   }
-  return drawsOnProcessor;
+  return { canvas, software: drawsOnProcessor };
 }
 
 /** The distance from a point to the farthest particle [grid units]. */
