@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from morph_engine.errors import ConfigError
+from morph_engine.errors import ConfigError, ResultError
 
 
 def parse_overrides(settings: list[str]) -> dict[str, str]:
@@ -52,6 +52,28 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found:
         raise ConfigError(f"{text!r} is no size.", "Write it as in 960x720.")
     return int(found[1]), int(found[2])
+
+
+def check_place(out: Path, *, force: bool, folder: bool = False) -> None:
+    """Refuse to write where something is already, or where there is no folder.
+
+    Args:
+        out: Where to write.
+        force: Whether what is there may be replaced.
+        folder: Whether a folder that is there will do.
+
+    Raises:
+        ResultError: It cannot be written there.
+    """
+    if out.exists() and not force and not (folder and out.is_dir()):
+        raise ResultError(
+            f"{out} is there already.",
+            "Choose another file with --out, or replace it with --force.",
+        )
+    if not out.absolute().parent.is_dir():
+        raise ResultError(
+            f"There is no folder {out.parent}.", "Make it, or choose another file with --out."
+        )
 
 
 def default_out(source: str, target: str, *, partial: bool = False) -> Path:

@@ -14,7 +14,7 @@ import typer
 
 from client.connection import KeyOption, ServerOption, connect
 from client.errors import print_json
-from morph_engine.errors import ConfigError, ResultError
+from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
     from morph_engine import export as exports
@@ -66,14 +66,14 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write frames of a result for other programs; docs/exports.md has the formats."""
-    from client.arguments import parse_frames
+    from client.arguments import check_place, parse_frames
     from morph_engine import export as exports
 
     name = format or _format_of(out, exports.FORMATS)
     chosen = [field.strip() for field in fields.split(",") if field.strip()]
     exports.check(name, surface=surface, fields=chosen)
     wanted = parse_frames(frames)
-    _check_place(out, force=force)
+    check_place(out, force=force, folder=True)
     with _local(result, server, key) as path, _progress(quiet=quiet or as_json) as watch:
         exports.export(
             path,
@@ -113,11 +113,11 @@ def render(
     as_json: AsJson = False,
 ) -> None:
     """Make a video of a result."""
-    from client.arguments import parse_frames, parse_size
+    from client.arguments import check_place, parse_frames, parse_size
     from morph_engine.rendering import video
 
     pixels, wanted = parse_size(size), parse_frames(frames)
-    _check_place(out, force=force)
+    check_place(out, force=force, folder=True)
     with _local(result, server, key) as path, _progress(quiet=quiet or as_json) as watch:
         video(
             path,
@@ -143,18 +143,6 @@ def _format_of(out: Path, formats: dict[str, exports.Format]) -> str:
     )
 
 
-def _check_place(out: Path, *, force: bool) -> None:
-    if out.is_file() and not force:
-        raise ResultError(
-            f"{out} is there already.",
-            "Choose another file with --out, or replace it with --force.",
-        )
-    if not out.absolute().parent.is_dir():
-        raise ResultError(
-            f"There is no folder {out.parent}.", "Make it, or choose another file with --out."
-        )
-
-
 @contextmanager
 def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
     """The result file, fetched from the service where a job is named."""
@@ -170,14 +158,12 @@ def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
 
 @contextmanager
 def _progress(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    hidden = quiet or not console.is_terminal
-    with Progress(console=console, transient=True, disable=hidden) as display:
-        task = display.add_task("frames", total=None)
-        yield lambda done, total: display.update(task, completed=done, total=total)
+    from client.live import Live
+
+    with Live(*Progress.get_default_columns(), quiet=quiet) as display:
+        yield display.share("frames")
 
 
 def _say(out: Path, *, as_json: bool, **more: str) -> None:

@@ -14,7 +14,7 @@ import typer
 from client import interrupt
 from client.connection import KeyOption, ServerOption, connect
 from client.errors import BAD_INPUT, error_document, print_json
-from morph_engine.errors import ConfigError, MorphError, ResultError
+from morph_engine.errors import ConfigError, MorphError
 
 if TYPE_CHECKING:
     from client.api import MorphClient
@@ -212,7 +212,7 @@ def fetch(
     as_json: AsJson = False,
 ) -> None:
     """Fetch the result of a job; an interrupted download goes on where it broke off."""
-    from client.arguments import default_out
+    from client.arguments import check_place, default_out
     from client.display import size
 
     with connect(server, key) as client:
@@ -220,15 +220,7 @@ def fetch(
         path = out or default_out(
             job.source_name, job.target_name, partial=job.state != "succeeded"
         )
-        if path.exists() and not force:
-            raise ResultError(
-                f"{path} is there already.",
-                "Choose another file with --out, or replace it with --force.",
-            )
-        if not path.parent.is_dir():
-            raise ResultError(
-                f"There is no folder {path.parent}.", "Make it, or choose another file with --out."
-            )
+        check_place(path, force=force)
         client.download(job_id, path)
     byte_count = path.stat().st_size
     if as_json:

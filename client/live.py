@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from types import TracebackType
 from typing import TypeVar
 
@@ -45,3 +46,8 @@ class Live:
     def note(self, text: str) -> None:
         """Say something that stays."""
         self._console.print(Text(text))
+
+    def share(self, what: str) -> Callable[[int, int], None]:
+        """A line that shows how much is done; returns what to call with that and the total."""
+        task = self._progress.add_task(what, total=None)
+        return lambda done, total: self._progress.update(task, completed=done, total=total)

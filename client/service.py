@@ -16,7 +16,7 @@ from client.download import download
 from client.following import follow
 from client.retry import Attempts
 from client.service_error import ServiceError, strange_answer
-from client.transport import Call, Transport
+from client.transport import COMPUTING_TIMEOUT, Call, Transport
 from morph_engine.digest import file_sha256
 from morph_engine.errors import ConfigError, MeshError, ResultError
 from server import schemas
@@ -302,7 +302,10 @@ class Service:
         format: SurfaceFormat = "glb",
         units: Units = "user",
     ) -> bytes:
-        """A closed mesh around the particles of a frame, as a file; it may take seconds.
+        """A closed mesh around the particles of a frame, as a file.
+
+        It is computed when it is first asked for, which takes seconds, or minutes where there are
+        millions of particles or others have asked before.
 
         Args:
             job_id: The job, which may still run.
@@ -311,10 +314,10 @@ class Service:
             units: The coordinates of the target's file, or grid units.
         """
         path = _at("jobs", job_id, "frames", str(index), "surface")
-        return await self._get_bytes(path, format=format, units=units)
+        return await self._get_bytes(path, COMPUTING_TIMEOUT, format=format, units=units)
 
     async def thumbnail(self, job_id: str) -> bytes:
-        """A small PNG of the newest frame."""
+        """A WebP picture of the newest frame, 240 x 180 pixels."""
         return await self._get_bytes(_at("jobs", job_id, "thumbnail"))
 
     async def export(
@@ -358,7 +361,13 @@ class Service:
         made = self._parse(Export, await self._send(asked))
         while made.state == "running":
             await self._transport.sleep(EXPORT_SECONDS)
-            made = await self._get(Export, _at("jobs", job_id, "exports", made.id))
+            try:
+                made = await self._get(Export, _at("jobs", job_id, "exports", made.id))
+            except ServiceError as error:
+                if error.status != 404:
+                    raise
+                # a restart has ended it: the same request is the same export
+                made = self._parse(Export, await self._send(asked))
         if made.problem is not None:
             raise ResultError(made.problem.cause, made.problem.remedy)
         file = _at("jobs", job_id, "exports", made.id, "file")
@@ -506,13 +515,16 @@ class Service:
     async def _get(self, model: type[Model], path: str, **query: Any) -> Model:
         return self._parse(model, await self._send(Call("GET", path, query, repeatable=True)))
 
-    async def _get_bytes(self, path: str, **query: Any) -> bytes:
-        return (await self._send(Call("GET", path, query, repeatable=True))).content
+    async def _get_bytes(
+        self, path: str, timeout: httpx.Timeout | None = None, **query: Any
+    ) -> bytes:
+        call = Call("GET", path, query, repeatable=True, timeout=timeout)
+        return (await self._send(call)).content
 
     async def _points(self, path: str, **query: Any) -> NDArray[np.float32]:
         import numpy as np
 
-        file = io.BytesIO(await self._get_bytes(path, format="npy", **query))
+        file = io.BytesIO(await self._get_bytes(path, COMPUTING_TIMEOUT, format="npy", **query))
         points: NDArray[np.float32] = np.load(file, allow_pickle=False)
         return points
 

@@ -23,6 +23,9 @@ CHUNK_BYTES = 1 << 18
 UPLOAD_TIMEOUT = httpx.Timeout(30.0, read=180.0)
 """The service reads a mesh before it answers [s]."""
 
+COMPUTING_TIMEOUT = httpx.Timeout(30.0, read=900.0)
+"""The service computes a surface or fills a shape before it answers, maybe after others [s]."""
+
 
 @dataclass(frozen=True)
 class Call:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+
+POLL_SECONDS = 0.1
 
 
 @contextmanager
@@ -84,3 +87,25 @@ def acquire(path: Path) -> BinaryIO | None:
         file.close()
         return None
     return file
+
+
+def wait_for(path: Path, seconds: float = float("inf")) -> BinaryIO:
+    """Lock a file as soon as its holder lets go of it.
+
+    Args:
+        path: The lock file, created where missing.
+        seconds: How long to wait [s].
+
+    Returns:
+        The open file, which holds the lock until it is closed.
+
+    Raises:
+        TimeoutError: Its holder does not let go.
+        OSError: The lock file cannot be opened.
+    """
+    deadline = time.monotonic() + seconds
+    while (lock := acquire(path)) is None:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{path} is held by another process.")
+        time.sleep(POLL_SECONDS)
+    return lock

@@ -35,7 +35,7 @@ class Derivations:
             request: Who asks for it.
 
         Raises:
-            ProblemError: 503, the service stops.
+            ProblemError: 503, the service stops; 404, `end` was called.
             MorphError: As `compute` raises it.
         """
         if await anyio.Path(path).exists():
@@ -45,13 +45,17 @@ class Derivations:
         self._askers.setdefault(path, []).append(request)
         await asyncio.shield(self._tasks[path])
 
+    def end(self, folder: Path) -> None:
+        """End the computations of everything in a folder."""
+        self._children.end(folder)
+
     def close(self) -> None:
         """End all computations."""
         self._children.close()
 
     async def _make(self, path: Path, compute: Callable[[Meet], None]) -> None:
         try:
-            await self._children.run(compute, lambda: self._is_wanted(path))
+            await self._children.run(path, compute, lambda: self._is_wanted(path))
         finally:
             del self._tasks[path]
             self._askers.pop(path, None)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from typing import Annotated, Any, Literal
 
+import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from server import job_view, points
 from server.access import Reader
+from server.answers import file_answer
 from server.keyring import Caller
-from server.meshes import matches
 from server.problems import ProblemError
 from server.schemas import FrameFormat
 from server.service import Service, Services
@@ -40,11 +40,13 @@ MESH: dict[int | str, dict[str, Any]] = {
     response_class=Response,
     responses=points.described("Positions of all particles before the first frame."),
 )
-def get_source(
+async def get_source(
     job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
 ) -> Response:
     """Particles before the first frame, encoded as frames are and in their order."""
-    return _points("source", job_id, request, caller, service, format)
+    return await anyio.to_thread.run_sync(
+        _points, "source", job_id, request, caller, service, format, limiter=service.computations
+    )
 
 
 @router.get(
@@ -54,11 +56,13 @@ def get_source(
     response_class=Response,
     responses=points.described("Positions of all target points."),
 )
-def get_target(
+async def get_target(
     job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
 ) -> Response:
     """Target points, encoded as frames are; their number is another than that of the particles."""
-    return _points("target", job_id, request, caller, service, format)
+    return await anyio.to_thread.run_sync(
+        _points, "target", job_id, request, caller, service, format, limiter=service.computations
+    )
 
 
 @router.get(
@@ -68,11 +72,13 @@ def get_target(
     response_class=Response,
     responses=MESH,
 )
-def get_source_mesh(
+async def get_source_mesh(
     job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
 ) -> Response:
     """The source mesh in grid units, placed as the job has placed it."""
-    return _mesh("source", job_id, request, caller, service, format)
+    return await anyio.to_thread.run_sync(
+        _mesh, "source", job_id, request, caller, service, format, limiter=service.computations
+    )
 
 
 @router.get(
@@ -82,11 +88,13 @@ def get_source_mesh(
     response_class=Response,
     responses=MESH,
 )
-def get_target_mesh(
+async def get_target_mesh(
     job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
 ) -> Response:
     """The target mesh in grid units, placed as the job has placed it."""
-    return _mesh("target", job_id, request, caller, service, format)
+    return await anyio.to_thread.run_sync(
+        _mesh, "target", job_id, request, caller, service, format, limiter=service.computations
+    )
 
 
 def _points(
@@ -115,11 +123,5 @@ def _mesh(
         raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
     file = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file, file_type=format)
-    body = file.getvalue()
-    headers = {
-        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
-        "Cache-Control": "private, no-cache",
-    }
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type=GLB if format == "glb" else points.PLY)
+    media_type = GLB if format == "glb" else points.PLY
+    return file_answer(request, file.getvalue(), media_type)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from server.children import Children, Meet
 from server.problems import ProblemError, as_problem
 from worker.exporting import ExportFailed
 from worker.job import Problem
 
-MOST = 100
-"""Exports that may be under way, most of them waiting for their turn."""
+MOST_PER_KEY = 20
+"""Exports of a key that may be under way or waiting for their turn."""
+
+FAILED = 100
+"""Failed exports that are remembered."""
 
 Watch = Callable[[float], None]
 
@@ -23,15 +26,16 @@ class ExportTask:
     """An export that is under way, or has failed.
 
     Attributes:
-        job_id: Its job.
+        path: Where it will be, less the ending of its name.
+        owner: The key whose job it is.
         progress: Share that is done, from 0 to 1.
         problem: Why it has failed, if it has.
     """
 
-    job_id: str
+    path: Path
+    owner: str
     progress: float = 0.0
     problem: Problem | None = None
-    process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
     task: asyncio.Task[None] | None = field(default=None, repr=False)
 
     def watch(self, progress: float) -> None:
@@ -40,7 +44,7 @@ class ExportTask:
 
 
 class ExportTasks:
-    """All of them, by the id of the export.
+    """All of them, by path.
 
     Args:
         limit: How many are made at the same time.
@@ -48,63 +52,57 @@ class ExportTasks:
 
     def __init__(self, limit: int) -> None:
         self._children = Children(limit)
-        self._tasks: dict[str, ExportTask] = {}
+        self._tasks: dict[Path, ExportTask] = {}
 
-    def get(self, export_id: str) -> ExportTask | None:
+    def get(self, path: Path) -> ExportTask | None:
         """One that is under way or has failed since this process began."""
-        return self._tasks.get(export_id)
+        return self._tasks.get(path)
 
-    def start(self, export_id: str, job_id: str, make: Callable[[Watch, Meet], None]) -> ExportTask:
+    def start(self, path: Path, owner: str, make: Callable[[Watch, Meet], None]) -> None:
         """Begin with an export, unless it is under way.
 
         Raises:
-            ProblemError: 429, there are too many.
+            ProblemError: 429, the key has too many.
         """
-        known = self._tasks.get(export_id)
+        known = self._tasks.get(path)
         if known is not None and known.problem is None:
-            return known
-        if len(self._tasks) >= MOST:
-            self._forget_failed()
-        if len(self._tasks) >= MOST:
+            return
+        running = [entry for entry in self._tasks.values() if entry.problem is None]
+        if sum(entry.owner == owner for entry in running) >= MOST_PER_KEY:
             raise ProblemError(
                 429,
-                f"{MOST} exports are under way.",
+                f"{MOST_PER_KEY} exports of this key are under way.",
                 "Wait for some to finish.",
                 headers={"Retry-After": "10"},
             )
-        entry = self._tasks[export_id] = ExportTask(job_id)
-        entry.task = asyncio.create_task(self._make(export_id, entry, make))
-        return entry
+        self._forget_failed()
+        entry = self._tasks[path] = ExportTask(path, owner)
+        entry.task = asyncio.create_task(self._make(entry, make))
 
-    def forget(self, job_id: str) -> None:
-        """End the exports of a job that is deleted."""
-        for entry in list(self._tasks.values()):
-            if entry.job_id == job_id and entry.process is not None:
-                entry.process.kill()
+    def end(self, folder: Path) -> None:
+        """End and forget the exports in a folder, or the one of which the path is given."""
+        for path in [path for path in self._tasks if path.is_relative_to(folder)]:
+            del self._tasks[path]
+        self._children.end(folder)
 
     def close(self) -> None:
         """End all of them."""
         self._children.close()
 
-    async def _make(
-        self, export_id: str, entry: ExportTask, make: Callable[[Watch, Meet], None]
-    ) -> None:
-        def work(meet: Meet) -> None:
-            def meet_here(process: subprocess.Popen[bytes]) -> None:
-                entry.process = process
-                meet(process)
-
-            make(entry.watch, meet_here)
-
+    async def _make(self, entry: ExportTask, make: Callable[[Watch, Meet], None]) -> None:
         try:
-            await self._children.run(work)
-            del self._tasks[export_id]
+            await self._children.run(entry.path, lambda meet: make(entry.watch, meet))
+            if self._tasks.get(entry.path) is entry:
+                del self._tasks[entry.path]
         except ExportFailed as failure:
             entry.problem = failure.problem
         except Exception as error:
             told = as_problem(error)
-            entry.problem = Problem(cause=told.detail, remedy=told.remedy, kind="internal")
+            kind = "resources" if told.status < 500 else "internal"
+            entry.problem = Problem(cause=told.detail, remedy=told.remedy, kind=kind)
 
     def _forget_failed(self) -> None:
-        for export_id in [i for i, entry in self._tasks.items() if entry.problem is not None]:
-            del self._tasks[export_id]
+        """Forget the oldest of those that have failed."""
+        failed = [path for path, entry in self._tasks.items() if entry.problem is not None]
+        for path in failed[: max(len(failed) - FAILED, 0)]:
+            del self._tasks[path]

@@ -13,9 +13,9 @@ from starlette.responses import FileResponse
 
 from server import job_view
 from server.access import Reader, Submitter
+from server.answers import tagged, unchanged
 from server.json_bodies import read_json
 from server.keyring import Caller
-from server.meshes import matches
 from server.points import BINARY
 from server.problems import ProblemError
 from server.schemas import Export, ExportFormat, ExportRequest
@@ -28,6 +28,22 @@ from worker.queue import JobRecord
 router = APIRouter(tags=["exports"])
 
 RETRY_AFTER = "1"
+
+FILES = {
+    media_type: BINARY
+    for media_type in (
+        "application/octet-stream",
+        "application/zip",
+        "image/gif",
+        "model/gltf-binary",
+        "model/obj",
+        "model/stl",
+        "model/vnd.usd",
+        "text/csv",
+        "video/mp4",
+    )
+}
+"""What `morph_engine.export.FORMATS` names, which takes a second to import."""
 
 EXAMPLES: dict[str, Any] = {
     "surface": {
@@ -93,13 +109,14 @@ async def export_job(
     folder = service.storage.exports_dir(job_id)
     kept = await anyio.to_thread.run_sync(KeptExport.find, folder, order.id)
     if kept is None:
-        room = await anyio.to_thread.run_sync(service.limits.room, record.owner)
+        await anyio.to_thread.run_sync(service.limits.check_disk, record.owner)
+        room = partial(service.limits.room, record.owner)
         make = partial(make_export, service.storage, job_id, order, service.settings, room)
-        service.exports.start(order.id, job_id, make)
+        service.exports.start(folder / order.id, record.owner, make)
     response.status_code = 200 if kept else 202
     response.headers["Location"] = f"/v1/jobs/{job_id}/exports/{order.id}"
     response.headers["Retry-After"] = RETRY_AFTER
-    return _show(job_id, order.id, kept, service)
+    return _show(job_id, order.id, service)[0]
 
 
 @router.get(
@@ -111,7 +128,24 @@ def get_export(job_id: str, export_id: str, caller: Reader, service: Services) -
     One that was under way when the service stopped is not there any more; ask for it again.
     """
     job_view.find(job_id, caller, service)
-    return _show(job_id, export_id, _find_kept(job_id, export_id, service), service)
+    return _show(job_id, export_id, service)[0]
+
+
+@router.delete(
+    "/jobs/{job_id}/exports/{export_id}",
+    status_code=204,
+    operation_id="deleteExport",
+    summary="Delete an export",
+)
+async def delete_export(job_id: str, export_id: str, caller: Submitter, service: Services) -> None:
+    """End an export that is under way, or remove its file."""
+    record = await anyio.to_thread.run_sync(job_view.find, job_id, caller, service)
+    _, kept = await anyio.to_thread.run_sync(_show, job_id, export_id, service)
+    folder = service.storage.exports_dir(job_id)
+    service.exports.end(folder / export_id)
+    if kept is not None:
+        await anyio.to_thread.run_sync(kept.remove, folder, export_id)
+        service.limits.measure_again(record.owner)
 
 
 @router.get(
@@ -120,11 +154,8 @@ def get_export(job_id: str, export_id: str, caller: Reader, service: Services) -
     summary="Download an export",
     response_class=FileResponse,
     responses={
-        200: {"content": {"application/octet-stream": BINARY}, "description": "The file."},
-        206: {
-            "content": {"application/octet-stream": BINARY},
-            "description": "The part asked for with Range.",
-        },
+        200: {"content": FILES, "description": "The file."},
+        206: {"content": FILES, "description": "The part asked for with Range."},
         304: {"description": "You have it already."},
     },
 )
@@ -136,8 +167,7 @@ def get_export_file(
     Understands Range, If-Range and If-None-Match.
     """
     job_view.find(job_id, caller, service)
-    kept = _find_kept(job_id, export_id, service)
-    shown = _show(job_id, export_id, kept, service)
+    shown, kept = _show(job_id, export_id, service)
     if kept is None:
         if shown.problem is not None:
             raise ProblemError(409, shown.problem.cause, shown.problem.remedy)
@@ -145,10 +175,10 @@ def get_export_file(
             409, "The export is not ready.", "Ask again soon.", headers={"Retry-After": RETRY_AFTER}
         )
     path = service.storage.exports_dir(job_id) / kept.file
-    headers = {"ETag": f'"{kept.sha256}"', "Cache-Control": "private, no-cache"}
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return FileResponse(path, headers=headers, media_type=kept.media_type, filename=kept.name)
+    headers = tagged(kept.sha256)
+    return unchanged(request, headers) or FileResponse(
+        path, headers=headers, media_type=kept.media_type, filename=kept.name
+    )
 
 
 def _find_result(job_id: str, caller: Caller, service: Service) -> tuple[JobRecord, Path]:
@@ -183,33 +213,34 @@ def _order(wanted: ExportRequest, record: JobRecord, result: Path) -> Order:
     return Order(id=digest_id(f"export\0{digest}"), name=name, **what)
 
 
-def _find_kept(job_id: str, export_id: str, service: Service) -> KeptExport | None:
-    known = re.fullmatch("[0-9a-z]{26}", export_id)
-    return KeptExport.find(service.storage.exports_dir(job_id), export_id) if known else None
-
-
-def _show(job_id: str, export_id: str, kept: KeptExport | None, service: Service) -> Export:
-    """An export as the API shows it.
+def _show(job_id: str, export_id: str, service: Service) -> tuple[Export, KeptExport | None]:
+    """An export as the API shows it, and its file once it is ready.
 
     Raises:
         ProblemError: 404.
     """
+    folder = service.storage.exports_dir(job_id)
     here = f"/v1/jobs/{job_id}/exports/{export_id}"
+    known = re.fullmatch("[0-9a-z]{26}", export_id)
+    # what ends between the two looks is found by the second
+    task = service.exports.get(folder / export_id) if known else None
+    kept = KeptExport.find(folder, export_id) if known else None
     if kept is not None:
-        return Export(
+        export = Export(
             id=export_id, job=job_id, state="ready", progress=1.0, problem=None,
             file_name=kept.name, size=kept.size_bytes,
             links={"self": here, "file": f"{here}/file"},
         )  # fmt: skip
-    task = service.exports.get(export_id)
-    if task is None or task.job_id != job_id:
+        return export, kept
+    if task is None:
         raise ProblemError(
             404,
             f"There is no export {export_id[:80]!r} of this job.",
             "Ask for it again with POST.",
         )
-    return Export(
+    export = Export(
         id=export_id, job=job_id, state="failed" if task.problem else "running",
         progress=task.progress, problem=task.problem, file_name=None, size=None,
         links={"self": here},
     )  # fmt: skip
+    return export, None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from server import job_view
 from server.access import Reader
-from server.meshes import matches
+from server.answers import tagged, unchanged
 from server.points import BINARY, BYTES
 from server.problems import ProblemError
 from server.schemas import ParticleField
@@ -24,6 +24,7 @@ router = APIRouter(tags=["fields"])
 
 LEVELS = 255
 
+ValueFormat = Literal["u8", "f32"]
 Bound = Annotated[float | None, Query(allow_inf_nan=False)]
 
 
@@ -71,7 +72,7 @@ async def get_field(
     request: Request,
     caller: Reader,
     service: Services,
-    format: Annotated[Literal["u8", "f32"], Query(description="How to encode the values.")] = "u8",
+    format: Annotated[ValueFormat, Query(description="How to encode the values.")] = "u8",
     low: Bound = None,
     high: Bound = None,
 ) -> Response:
@@ -89,28 +90,16 @@ async def get_field(
         )
     record = await anyio.to_thread.run_sync(job_view.find, job_id, caller, service)
     frame = await anyio.to_thread.run_sync(job_view.find_frame, record, index, service)
-    headers = {
-        "ETag": _etag(frame, f"{field} {format} {low} {high}"),
-        "Cache-Control": "private, no-cache",
-    }
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    values = await anyio.to_thread.run_sync(
-        _compute, record, frame, field, service, limiter=service.computations
-    )
-    low, high = _range(values, low, high)
-    headers |= {
-        "Morph-Frame": str(frame.index),
-        "Morph-Particles": str(len(values)),
-        "Morph-Low": repr(low),
-        "Morph-High": repr(high),
-    }
-    if format == "f32":
-        return Response(values.astype("<f4").tobytes(), headers=headers, media_type=BYTES)
-    scale = (high - low) / LEVELS
-    headers |= {"Morph-Offset": repr(low), "Morph-Scale": repr(scale)}
-    levels = np.nan_to_num((values.astype(np.float64) - low) / (scale or 1))
-    body = np.rint(levels).clip(0, LEVELS).astype(np.uint8).tobytes()
+    etag = await anyio.to_thread.run_sync(_etag, frame, f"{field} {format} {low} {high}")
+    headers = tagged(etag)
+    if answer := unchanged(request, headers):
+        return answer
+
+    def encoded() -> tuple[bytes, dict[str, str]]:
+        return _encode(_compute(record, frame, field, service), format, low, high)
+
+    body, told = await anyio.to_thread.run_sync(encoded, limiter=service.computations)
+    headers |= {"Morph-Frame": str(frame.index), **told}
     return Response(body, headers=headers, media_type=BYTES)
 
 
@@ -118,7 +107,29 @@ def _etag(frame: Frame, what: str) -> str:
     """What a field follows from: the frame, those before it, and what is asked for."""
     digest = hashlib.sha256(frame.positions.tobytes())
     digest.update(f"{frame.index} {what}".encode())
-    return f'"{digest.hexdigest()}"'
+    return digest.hexdigest()
+
+
+def _encode(
+    values: NDArray[np.float32], format: ValueFormat, low: float | None, high: float | None
+) -> tuple[bytes, dict[str, str]]:
+    """Values as bytes, and the headers that tell how to read them.
+
+    Raises:
+        ProblemError: 422, the range ends before it begins.
+    """
+    low, high = _range(values, low, high)
+    headers = {
+        "Morph-Particles": str(len(values)),
+        "Morph-Low": repr(low),
+        "Morph-High": repr(high),
+    }
+    if format == "f32":
+        return values.astype("<f4").tobytes(), headers
+    scale = (high - low) / LEVELS
+    headers |= {"Morph-Offset": repr(low), "Morph-Scale": repr(scale)}
+    levels = np.nan_to_num((values.astype(np.float64) - low) / (scale or 1))
+    return np.rint(levels).clip(0, LEVELS).astype(np.uint8).tobytes(), headers
 
 
 def _compute(record: JobRecord, frame: Frame, name: str, service: Service) -> NDArray[np.float32]:

@@ -57,6 +57,10 @@ def find_inputs(record: JobRecord, service: Service) -> RunRecord:
     """
     inputs = read_record(service.storage.result_path(record.id))
     if inputs is None:
+        if record.state.finished:
+            raise ProblemError(
+                404, "The job never began, and has no particles.", "Retry or resume it."
+            )
         raise ProblemError(
             404,
             "The job has not begun, and has no particles yet.",

@@ -165,7 +165,7 @@ def delete_job(job_id: str, caller: Submitter, service: Services) -> None:
     record = job_view.find(job_id, caller, service)
     job_view.check_allowed(record, "delete")
     service.queue.delete(job_id)
-    service.exports.forget(job_id)
+    service.end_derived(job_id)
     service.storage.remove_job(job_id)
     service.limits.measure_again(record.owner)
 
@@ -196,7 +196,7 @@ def retry_job(job_id: str, caller: Submitter, service: Services) -> Job:
     record = job_view.find(job_id, caller, service)
     job_view.check_allowed(record, "retry")
     _check_startable(record, service)
-    service.exports.forget(job_id)
+    service.end_derived(job_id)
     service.queue.retry(job_id)
     return get_job(job_id, caller, service)
 

@@ -90,13 +90,14 @@ class Limits:
             )
 
     def room(self, owner: str) -> int:
-        """Disk that a key may still fill [bytes].
+        """Disk that a key may still fill, measured now [bytes].
 
         Raises:
             ProblemError: 413, there is none.
         """
+        self.measure_again(owner)
         self.check_disk(owner)
-        return self._settings.disk_bytes_per_key - self.disk_bytes(owner)
+        return max(self._settings.disk_bytes_per_key - self.disk_bytes(owner), 0)
 
     def disk_bytes(self, owner: str) -> int:
         """Disk that a key fills, measured within the last half minute [bytes]."""
@@ -108,7 +109,7 @@ class Limits:
             return used
 
     def measure_again(self, owner: str) -> None:
-        """Something of this key has been deleted."""
+        """Something of this key has been made or deleted."""
         self._disk.pop(owner, None)
 
     def _job_bytes(self, owner: str) -> int:

@@ -14,6 +14,7 @@ from starlette.responses import FileResponse
 from morph_engine.mesh import FORMATS
 from server import pages
 from server.access import Reader, Submitter
+from server.answers import tagged, unchanged
 from server.bodies import media_type
 from server.forms import receive_form
 from server.keyring import Caller
@@ -127,10 +128,8 @@ def get_mesh_file(mesh_id: str, request: Request, caller: Reader, service: Servi
     path = service.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    headers = {"ETag": f'"{mesh_id}"', "Cache-Control": "private, max-age=31536000, immutable"}
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return FileResponse(
+    headers = tagged(mesh_id) | {"Cache-Control": "private, max-age=31536000, immutable"}
+    return unchanged(request, headers) or FileResponse(
         path, headers=headers, filename=row.name, media_type="application/octet-stream"
     )
 
@@ -207,13 +206,6 @@ def suffix_of(name: str) -> str:
     raise ProblemError(
         415, f"{name!r} is not in a known mesh format.", f"{verb} OBJ, PLY, STL, OFF or GLB."
     )
-
-
-def matches(request: Request, etag: str) -> bool:
-    """Whether the caller has this version already."""
-    wanted = request.headers.get("if-none-match", "")
-    tags = {tag.strip().removeprefix("W/") for tag in wanted.split(",")}
-    return etag in tags or "*" in tags
 
 
 def show(row: MeshRow, service: Service) -> Mesh:

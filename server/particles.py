@@ -24,7 +24,7 @@ EXTENT = GridConfig().half_extent
 
 Density = Annotated[int, Query(ge=1, le=8, description="Lattice points per grid unit and axis.")]
 Placing = Annotated[
-    Fit, Query(description="As the setting sampling.fit; `auto` scales only what does not fit.")
+    Fit, Query(description="How to place it; `auto` scales only what does not fit.")
 ]
 Format = Annotated[FrameFormat, Query(description="How to encode the positions.")]
 
@@ -57,9 +57,9 @@ async def get_mesh_particles(
     path = service.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    preview = await service.previews.get(str(path), row.name, points_per_cell_edge, fit)
+    preview = await service.previews.get(path, row.name, points_per_cell_edge, fit)
     known = service.storage.mesh_report(mesh_id)["warnings"]
-    return _answer(request, preview, format, [*known, *preview.warnings])
+    return await anyio.to_thread.run_sync(_answer, request, preview, format, known)
 
 
 @router.get(
@@ -81,14 +81,12 @@ async def get_shape_particles(
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
     preview = await service.previews.get(shape, shape, points_per_cell_edge, fit)
-    return _answer(request, preview, format, list(preview.warnings))
+    return await anyio.to_thread.run_sync(_answer, request, preview, format, [])
 
 
-def _answer(
-    request: Request, preview: Preview, format: FrameFormat, warnings: list[str]
-) -> Response:
+def _answer(request: Request, preview: Preview, format: FrameFormat, known: list[str]) -> Response:
     headers = {
         "Morph-Count": str(len(preview.positions)),
-        "Morph-Warnings": json.dumps(warnings),
+        "Morph-Warnings": json.dumps([*known, *preview.warnings]),
     }
     return points.answer(request, preview.positions, format, EXTENT, headers)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from fastapi import Request, Response
 from numpy.typing import NDArray
 
-from server.meshes import matches
+from server.answers import file_answer
 from server.schemas import FrameFormat
 
 BYTES = "application/octet-stream"
@@ -64,17 +63,10 @@ def answer(
         headers: Further headers.
     """
     body, media_type = encode(positions, format, extent)
-    told = {
-        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
-        "Cache-Control": "private, no-cache",
-        "Morph-Particles": str(len(positions)),
-        **headers,
-    }
+    told = {"Morph-Particles": str(len(positions)), **headers}
     if format == "u16":
         told |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / LEVELS)}
-    if matches(request, told["ETag"]):
-        return Response(status_code=304, headers=told)
-    return Response(body, headers=told, media_type=media_type)
+    return file_answer(request, body, media_type, told)
 
 
 def encode(positions: NDArray[np.float32], format: FrameFormat, extent: float) -> tuple[bytes, str]:

@@ -1,8 +1,11 @@
-"""Previews of shapes, the last few of which are kept."""
+"""Previews of shapes: each computed once, however many ask for it, and the last of them kept."""
 
 from __future__ import annotations
 
+import asyncio
 from collections import OrderedDict
+from pathlib import Path
+from typing import NamedTuple
 
 import anyio
 
@@ -10,7 +13,15 @@ from worker.job import Fit
 from worker.preview import Preview, sample_shape
 from worker.settings import Settings
 
-KEPT = 8
+KEPT_BYTES = 64 << 20
+
+
+class _Wanted(NamedTuple):
+    """What decides over a preview."""
+
+    shape: Path | str
+    points_per_cell_edge: int
+    fit: Fit
 
 
 class Previews:
@@ -18,19 +29,30 @@ class Previews:
 
     Args:
         settings: Memory and CPU time of a child.
-        children: Limits how many there are at the same time.
+        limit: How many there are at the same time.
     """
 
-    def __init__(self, settings: Settings, children: anyio.CapacityLimiter) -> None:
+    def __init__(self, settings: Settings, limit: int) -> None:
         self._settings = settings
-        self._children = children
-        self._kept: OrderedDict[tuple[str, int, Fit], Preview] = OrderedDict()
+        self._threads = anyio.CapacityLimiter(limit)
+        self._running: dict[_Wanted, asyncio.Task[Preview]] = {}
+        self._kept: OrderedDict[_Wanted, Preview] = OrderedDict()
 
-    async def get(self, shape: str, name: str, points_per_cell_edge: int, fit: Fit) -> Preview:
+    async def get(
+        self, shape: Path | str, name: str, points_per_cell_edge: int, fit: Fit
+    ) -> Preview:
         """The particles of a shape; arguments and errors as of `sample_shape`."""
-        key = (shape, points_per_cell_edge, fit)
-        preview = self._kept.pop(key, None)
-        if preview is None:
+        wanted = _Wanted(shape, points_per_cell_edge, fit)
+        if wanted in self._kept:
+            self._kept.move_to_end(wanted)
+            return self._kept[wanted]
+        if wanted not in self._running:
+            self._running[wanted] = asyncio.create_task(self._sample(wanted, name))
+        return await asyncio.shield(self._running[wanted])
+
+    async def _sample(self, wanted: _Wanted, name: str) -> Preview:
+        shape, points_per_cell_edge, fit = wanted
+        try:
             preview = await anyio.to_thread.run_sync(
                 sample_shape,
                 shape,
@@ -38,9 +60,11 @@ class Previews:
                 points_per_cell_edge,
                 fit,
                 self._settings,
-                limiter=self._children,
+                limiter=self._threads,
             )
-        self._kept[key] = preview
-        while len(self._kept) > KEPT:
+        finally:
+            del self._running[wanted]
+        self._kept[wanted] = preview
+        while sum(kept.positions.nbytes for kept in self._kept.values()) > KEPT_BYTES:
             self._kept.popitem(last=False)
         return preview

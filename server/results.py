@@ -14,7 +14,7 @@ from starlette.responses import FileResponse
 from morph_engine.digest import file_sha256
 from server import job_view, points
 from server.access import Reader
-from server.meshes import matches
+from server.answers import tagged, unchanged
 from server.schemas import FrameFormat
 from server.service import Service, Services
 
@@ -47,10 +47,8 @@ def get_result(job_id: str, request: Request, caller: Reader, service: Services)
     else:
         seen = path.stat()
         digest = _digest(path, seen.st_mtime_ns, seen.st_size)
-    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, no-cache"}
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return FileResponse(
+    headers = tagged(digest)
+    return unchanged(request, headers) or FileResponse(
         path, headers=headers, media_type=HDF5, filename=f"{job_view.file_stem(record)}.vtkhdf"
     )
 

@@ -23,11 +23,12 @@ from worker.settings import Settings
 from worker.storage import Storage
 
 INSPECTIONS = 2
-"""Meshes parsed at the same time; each may take the memory of `inspect_memory_bytes`."""
+PREVIEWS = 1
+"""Meshes parsed, and shapes filled for a preview, at the same time; each may take the memory of
+`inspect_memory_bytes`."""
 
 COMPUTATIONS = 1
-"""Fields and thumbnails computed at the same time, in this process."""
-
+"""Fields, thumbnails, meshes and the like computed at the same time, in this process."""
 
 SURFACES = 1
 EXPORTS = 1
@@ -62,7 +63,6 @@ class Service:
         engine = database(settings)
         tables.create(engine)
         meshes = MeshStore(engine)
-        inspections = anyio.CapacityLimiter(INSPECTIONS)
         return cls(
             settings=settings,
             storage=storage,
@@ -73,12 +73,18 @@ class Service:
             sweeps=SweepStore(engine),
             limits=Limits(settings, storage, queue, meshes),
             watches=Watches(queue, storage, settings.watchers),
-            inspections=inspections,
+            inspections=anyio.CapacityLimiter(INSPECTIONS),
             computations=anyio.CapacityLimiter(COMPUTATIONS),
-            previews=Previews(settings, inspections),
+            previews=Previews(settings, PREVIEWS),
             surfaces=Derivations(SURFACES),
             exports=ExportTasks(EXPORTS),
         )
+
+    def end_derived(self, job_id: str) -> None:
+        """End what is being computed from the frames of a job, which go."""
+        folder = self.storage.derived_dir(job_id)
+        self.surfaces.end(folder)
+        self.exports.end(folder)
 
     def end_children(self) -> None:
         """End what is being computed."""

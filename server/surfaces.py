@@ -12,14 +12,13 @@ from fastapi import APIRouter, Query, Request, Response
 
 from server import job_view
 from server.access import Reader
-from server.meshes import matches
+from server.answers import tagged, unchanged
 from server.points import BINARY, PLY
+from server.problems import not_found
 from server.schemas import SurfaceFormat, Units
 from server.service import Service, Services
 from worker.queue import JobRecord
 from worker.surfacing import KeptSurface, compute_surface
-
-CACHING = "private, no-cache"
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
@@ -80,20 +79,23 @@ async def get_surface(
         compute_surface, service.storage, job_id, frame.index, finished, service.settings
     )
     await service.surfaces.make(path, compute, request)
-    etag = await anyio.to_thread.run_sync(_etag, path, format, units)
-    if matches(request, etag):
-        return Response(status_code=304, headers={"ETag": etag, "Cache-Control": CACHING})
-    body, headers = await anyio.to_thread.run_sync(
-        _encode, record, frame.index, format, units, service, limiter=service.computations
-    )
-    headers |= {"ETag": etag, "Cache-Control": CACHING}
-    return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
+    try:
+        etag = await anyio.to_thread.run_sync(_etag, path, format, units)
+        headers = tagged(etag)
+        if answer := unchanged(request, headers):
+            return answer
+        body, told = await anyio.to_thread.run_sync(
+            _encode, record, frame.index, format, units, service, limiter=service.computations
+        )
+    except FileNotFoundError:  # deleted meanwhile
+        raise not_found("job", job_id) from None
+    return Response(body, headers=headers | told, media_type=MEDIA_TYPES[format])
 
 
 def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
     """The version of a surface that is there."""
     seen = path.stat()
-    return f'"{seen.st_mtime_ns:x}-{seen.st_size:x}-{format}-{units}"'
+    return f"{seen.st_mtime_ns:x}-{seen.st_size:x}-{format}-{units}"
 
 
 def _encode(

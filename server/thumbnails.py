@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from morph_engine.durable import replacing
 from morph_engine.errors import ResultError
 from server import job_view
 from server.access import Reader
-from server.meshes import matches
+from server.answers import file_answer
 from server.points import BINARY
 from server.problems import ProblemError
 from server.service import Service, Services
@@ -44,13 +43,7 @@ async def get_thumbnail(
     body = await anyio.to_thread.run_sync(_kept, record, service)
     if body is None:
         body = await anyio.to_thread.run_sync(_draw, record, service, limiter=service.computations)
-    headers = {
-        "ETag": f'"{hashlib.sha256(body).hexdigest()}"',
-        "Cache-Control": "private, no-cache",
-    }
-    if matches(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type=WEBP)
+    return file_answer(request, body, WEBP)
 
 
 def _kept(record: JobRecord, service: Service) -> bytes | None:

@@ -16,19 +16,19 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from morph_engine.config import MorphConfig
 from morph_engine.digest import file_sha256
-from morph_engine.durable import acquire
-from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
+from morph_engine.durable import wait_for
+from morph_engine.errors import MorphError, ResultError
 from morph_engine.morphing import Frame, prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.run_record import RunRecord
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import Trajectory, write_result
 from worker.heartbeat import STOP
-from worker.job import JobSpec, Outcome, Problem
+from worker.job import JobSpec, Outcome, Problem, problem_of
 from worker.priority import yield_to_others
 from worker.storage import Storage
 
@@ -42,13 +42,13 @@ def main(job_dir: Path, attempt: int, threads: int) -> None:
     yield_to_others()
     threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
     storage = Storage(job_dir.parent.parent)
-    lock = _locked(job_dir / "lock")
+    lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
     try:
         spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
         outcome = _compute(storage, job_dir.name, spec, attempt, threads)
         _say("done", outcome.model_dump())
     except MorphError as error:
-        _say("failed", _problem(error).model_dump())
+        _say("failed", problem_of(error).model_dump())
     except MemoryError:
         problem = Problem(
             cause="The engine ran out of memory.",
@@ -140,23 +140,6 @@ def _frame(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:
         "metrics": frame.metrics,
         "seconds": frame.seconds,
     }
-
-
-def _problem(error: MorphError) -> Problem:
-    if isinstance(error, SimulationError):
-        return Problem(cause=error.cause, remedy=error.remedy, kind="simulation")
-    full = isinstance(error, ResourceError | ResultError)
-    return Problem(cause=error.cause, remedy=error.remedy, kind="resources" if full else "input")
-
-
-def _locked(path: Path) -> BinaryIO:
-    """The lock of the job directory, once an orphan of an earlier attempt has let go of it."""
-    deadline = time.monotonic() + LOCK_SECONDS
-    while (lock := acquire(path)) is None:
-        if time.monotonic() > deadline:
-            raise SystemExit("Another process computes this job and does not end.")
-        time.sleep(0.1)
-    return lock
 
 
 def _watch_worker(out: Path) -> None:

@@ -7,10 +7,11 @@ come, and what went wrong.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
+import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +19,16 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from morph_engine.digest import file_sha256
-from morph_engine.durable import acquire, replacing
-from morph_engine.errors import MorphError, ResourceError, ResultError
+from morph_engine.durable import replacing, wait_for
+from morph_engine.errors import MorphError, ResultError
 from worker import limited
-from worker.job import Problem, Sha256
+from worker.job import Problem, Sha256, problem_of
 from worker.priority import yield_to_others
 from worker.settings import Settings
 from worker.storage import Storage
 
-LOCK_SECONDS = 0.1
+LESS = "Ask for fewer frames at a time, or run the job with fewer points per cell edge."
+FULL = (errno.EFBIG, errno.ENOSPC, errno.EDQUOT)
 
 
 class Order(BaseModel):
@@ -75,6 +77,11 @@ class KeptExport(BaseModel):
             return None
         return cls.model_validate_json(text)
 
+    def remove(self, folder: Path, export_id: str) -> None:
+        """Remove it, the document first, so that it is whole as long as it is found."""
+        (folder / f"{export_id}.json").unlink(missing_ok=True)
+        (folder / self.file).unlink(missing_ok=True)
+
 
 class ExportFailed(Exception):
     """An export could not be made.
@@ -93,7 +100,7 @@ def make_export(
     job_id: str,
     order: Order,
     settings: Settings,
-    room: int,
+    room: Callable[[], int],
     watch: Callable[[float], None],
     meet: Callable[[subprocess.Popen[bytes]], None],
 ) -> None:
@@ -104,7 +111,7 @@ def make_export(
         job_id: The job.
         order: What to export.
         settings: Memory and CPU time that it may take.
-        room: Disk that it may fill [bytes].
+        room: Disk that it may fill [bytes], asked for when it begins.
         watch: Called with the share that is done.
         meet: Called with the child.
 
@@ -114,7 +121,7 @@ def make_export(
     limits = limited.Limits(
         settings.export_memory_bytes,
         settings.export_cpu_seconds,
-        file_bytes=room,
+        file_bytes=room(),
         threads=limited.MOST_THREADS,
     )
     problems: list[Problem] = []
@@ -131,19 +138,15 @@ def make_export(
     arguments = [str(result), str(folder), order.model_dump_json()]
     try:
         storage.make_derived_dirs(job_id)
-        with limited.explaining("The export", limits):
-            limited.run("worker.exporting", arguments, limits, hear=hear, meet=meet)
+        with limited.explaining("The export", "compute", limits, LESS):
+            try:
+                limited.run("worker.exporting", arguments, limits, hear=hear, meet=meet)
+            except limited.Broken as how:
+                raise ResultError(f"The export has broken off ({how}).", "Try it again.") from None
     except MorphError as error:
-        problems.append(_problem(error))
+        problems.append(problem_of(error))
     if problems:
         raise ExportFailed(problems[0])
-
-
-def _problem(error: MorphError) -> Problem:
-    kind: Literal["resources", "input"] = (
-        "resources" if isinstance(error, ResourceError | ResultError) else "input"
-    )
-    return Problem(cause=error.cause, remedy=error.remedy, kind=kind)
 
 
 def _main() -> None:
@@ -157,17 +160,31 @@ def _main() -> None:
     except MemoryError:
         sys.exit(limited.OUT_OF_MEMORY)
     except MorphError as error:
-        _say(problem=_problem(error).model_dump())
+        _say(problem=_plain(error, folder, result).model_dump())
+
+
+def _plain(error: MorphError, *paths: str) -> Problem:
+    """Why it has failed, without the places where the service keeps things."""
+    if isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL:
+        return Problem(
+            cause="The export does not fit the disk, or what this key may fill of it.",
+            remedy="Delete exports and jobs that are not needed any more.",
+            kind="resources",
+        )
+    problem = problem_of(error)
+    cause = problem.cause
+    for path in paths:
+        cause = cause.replace(f"{path}/", "").replace(path, "the result")
+    return problem.model_copy(update={"cause": cause})
 
 
 def _keep(result: Path, folder: Path, order: Order) -> None:
     from morph_engine.export import export, find, suffix
 
-    while (lock := acquire(folder / "lock")) is None:  # another API may be at it
-        time.sleep(LOCK_SECONDS)
-    with lock:
+    with wait_for(folder / "lock"):  # another API may be at it
         if KeptExport.find(folder, order.id) is not None:
             return
+        _clear(folder)
         ending = suffix(order.format, order.frames)
         path = folder / f"{order.id}{ending}"
         export(
@@ -190,6 +207,21 @@ def _keep(result: Path, folder: Path, order: Order) -> None:
         )
         with replacing(folder / f"{order.id}.json") as temporary:
             temporary.write_text(kept.model_dump_json(), encoding="utf-8")
+
+
+def _clear(folder: Path) -> None:
+    """Remove what exports have left behind that were killed; nobody else is at work here."""
+    whole = {
+        KeptExport.model_validate_json(text.read_text("utf-8")).file: text.name
+        for text in folder.glob("*.json")
+    }
+    for entry in folder.iterdir():
+        if entry.name == "lock" or entry.name in whole or entry.name in whole.values():
+            continue
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink(missing_ok=True)
 
 
 def _say(**message: Any) -> None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from morph_engine.errors import MeshError, MorphError, ResourceError
+from morph_engine.errors import MeshError, MorphError
 from worker import limited
 from worker.settings import Settings
 
@@ -48,21 +48,14 @@ def read_mesh(module: str, arguments: Sequence[str], name: str, settings: Settin
     """
     limits = limited.Limits(settings.inspect_memory_bytes, settings.inspect_cpu_seconds)
     remedy = "Decimate the mesh; the simulation sees no detail below half a grid unit."
-    try:
-        return limited.run(module, arguments, limits)
-    except limited.TooMuchTime:
-        raise ResourceError(
-            f"{name} takes more than {limits.cpu_seconds} s to read.", remedy
-        ) from None
-    except limited.TooMuchMemory:
-        raise ResourceError(
-            f"{name} takes more than {limits.memory_bytes >> 20} MiB of memory to read.", remedy
-        ) from None
-    except limited.Broken as how:
-        raise MeshError(
-            f"{name} breaks the program that reads meshes ({how}).",
-            "Export the mesh again, as OBJ, STL or GLB.",
-        ) from None
+    with limited.explaining(name, "read", limits, remedy):
+        try:
+            return limited.run(module, arguments, limits)
+        except limited.Broken as how:
+            raise MeshError(
+                f"{name} breaks the program that reads meshes ({how}).",
+                "Export the mesh again, as OBJ, STL or GLB.",
+            ) from None
 
 
 def refusal(error: MorphError, path: Path, name: str) -> dict[str, dict[str, str]]:

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
+
 Fit = Literal["auto", "none", "volume", "extent"]
 """How a shape is placed in the domain; `auto` scales only what does not fit."""
 
@@ -68,6 +70,16 @@ class Problem(BaseModel):
     cause: str
     remedy: str = ""
     kind: Literal["input", "resources", "simulation", "crash", "hang", "timeout", "internal"]
+
+
+def problem_of(error: MorphError) -> Problem:
+    """An error of the engine as the reason why a job, or an export of it, failed."""
+    kind: Literal["simulation", "resources", "input"] = "input"
+    if isinstance(error, SimulationError):
+        kind = "simulation"
+    elif isinstance(error, ResourceError | ResultError):
+        kind = "resources"
+    return Problem(cause=error.cause, remedy=error.remedy, kind=kind)
 
 
 class Outcome(BaseModel):

@@ -7,25 +7,30 @@ when its parent does.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import IO
 
 import psutil
 
-from morph_engine.errors import ResourceError, ResultError
+from morph_engine.errors import ResourceError
 
 ORPHANED, OUT_OF_MEMORY = 75, 77
 MOST_THREADS = 4
 """Threads of a child's libraries; each of them reserves memory that the limit counts."""
 
+LAST_WORDS = 1 << 14
+"""What is kept of a child's messages [bytes]."""
+
 _LIMITS = "MORPH_LIMITS"
+log = logging.getLogger(__name__)
 
 
 class TooMuchMemory(Exception):
@@ -34,6 +39,10 @@ class TooMuchMemory(Exception):
 
 class TooMuchTime(Exception):
     """A child has reached its limit of time."""
+
+
+class Killed(Exception):
+    """A child was ended from outside, as by a machine that has no memory left."""
 
 
 class Broken(Exception):
@@ -79,6 +88,7 @@ def run(
 
     Raises:
         TooMuchMemory, TooMuchTime: It has reached a limit.
+        Killed: Somebody else has ended it.
         Broken: It has ended otherwise than with status 0.
     """
     threads = str(limits.threads)
@@ -89,68 +99,74 @@ def run(
         "MALLOC_ARENA_MAX": "2",
         _LIMITS: f"{limits.memory_bytes} {limits.cpu_seconds} {limits.file_bytes}",
     }
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=said,
-            env=environment,
-            start_new_session=True,
-        )
-        if meet is not None:
-            meet(process)
-        late = threading.Event()
-        alarm = threading.Timer(2 * limits.cpu_seconds + 10, _end, (process, late))
-        alarm.start()
-        try:
-            with process:
-                assert process.stdout is not None
-                if hear is None:
-                    answer = process.stdout.read()
-                else:
-                    answer = b""
-                    for line in process.stdout:
-                        hear(line)
-                status = process.wait()
-        finally:
-            alarm.cancel()
-        said.seek(0)
-        last_words = said.read()
-    if late.is_set() or -status in (signal.SIGXCPU, signal.SIGKILL):
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
+        start_new_session=True,
+    )
+    assert process.stdout is not None and process.stderr is not None
+    if meet is not None:
+        meet(process)
+    last_words = bytearray()
+    listener = threading.Thread(target=_listen, args=(process.stderr, last_words), daemon=True)
+    listener.start()
+    late = threading.Event()
+    alarm = threading.Timer(2 * limits.cpu_seconds + 10, _end, (process, late))
+    alarm.start()
+    try:
+        with process:
+            if hear is None:
+                answer = process.stdout.read()
+            else:
+                answer = b""
+                for line in process.stdout:
+                    hear(line)
+            status = process.wait()
+            listener.join()
+    finally:
+        alarm.cancel()
+    if late.is_set() or -status == signal.SIGXCPU:
         raise TooMuchTime
     if status == OUT_OF_MEMORY or (status and b"bad_alloc" in last_words):
         raise TooMuchMemory
+    if -status == signal.SIGKILL:
+        raise Killed
     if status:
-        raise Broken(signal.Signals(-status).name if status < 0 else f"exit status {status}")
+        how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+        log.warning("%s: %s: %s", module, how, last_words.decode(errors="replace"))
+        raise Broken(how)
     return answer
 
 
 @contextmanager
-def explaining(what: str, limits: Limits) -> Iterator[None]:
+def explaining(what: str, to_do: str, limits: Limits, remedy: str) -> Iterator[None]:
     """Tell a user of what a child has run into.
 
     Args:
-        what: What it computes, as the beginning of a sentence.
+        what: What it works on, as the beginning of a sentence.
+        to_do: What it does with it, as the end of one.
         limits: Its limits.
+        remedy: How it would take less.
 
     Raises:
         ResourceError: It takes too much memory or time.
-        ResultError: It has died.
     """
-    remedy = "Run the job with fewer points per cell edge, or ask for less at a time."
     try:
         yield
     except TooMuchTime:
-        raise ResourceError(
-            f"{what} takes more than {limits.cpu_seconds} s to compute.", remedy
-        ) from None
+        cause = f"{what} takes more than {limits.cpu_seconds} s to {to_do}."
+        raise ResourceError(cause, remedy) from None
     except TooMuchMemory:
+        cause = f"{what} takes more than {limits.memory_bytes >> 20} MiB of memory to {to_do}."
+        raise ResourceError(cause, remedy) from None
+    except Killed:
         raise ResourceError(
-            f"{what} takes more than {limits.memory_bytes >> 20} MiB of memory.", remedy
+            f"{what} is not there, because its process was killed from outside.",
+            "Ask again; if it is killed again, the machine has too little memory.",
         ) from None
-    except Broken as how:
-        raise ResultError(f"{what} could not be computed ({how}).", "Try it again.") from None
 
 
 def enter() -> None:
@@ -170,6 +186,13 @@ def enter() -> None:
     if sys.platform != "darwin":  # which does not enforce it
         memory += psutil.Process().memory_info().vms
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+
+def _listen(stream: IO[bytes], last_words: bytearray) -> None:
+    """Keep the end of what a child says, and keep it from waiting for a listener."""
+    while said := stream.read1(LAST_WORDS):  # type: ignore[attr-defined]
+        last_words += said
+        del last_words[:-LAST_WORDS]
 
 
 def _end(process: subprocess.Popen[bytes], late: threading.Event) -> None:

@@ -1,7 +1,7 @@
 """The particles of a shape before any job is submitted, sampled in a child with little memory.
 
-The child is `python -m worker.preview SHAPE NAME POINTS_PER_CELL_EDGE FIT`; it prints a line of
-JSON and behind it the positions.
+The child is `python -m worker.preview KIND SHAPE NAME POINTS_PER_CELL_EDGE FIT`, where the kind is
+`file` or `shape`; it prints a line of JSON and behind it the positions.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ class Preview:
 
 
 def sample_shape(
-    shape: str, name: str, points_per_cell_edge: int, fit: Fit, settings: Settings
+    shape: Path | str, name: str, points_per_cell_edge: int, fit: Fit, settings: Settings
 ) -> Preview:
-    """Fill a shape with particles as a job would with the same settings.
+    """Fill a shape with particles as a job would whose seed and lattice are the usual ones.
 
     Args:
-        shape: Path of a mesh file, or the name of a built-in shape.
+        shape: Path of a mesh file, or the name of a built-in shape. A name is never taken for a
+            path.
         name: What the user calls it.
         points_per_cell_edge: Lattice points per grid unit and axis.
         fit: As in the configuration; `auto` scales only what does not fit the domain.
@@ -50,7 +51,10 @@ def sample_shape(
         MeshError: It cannot be filled, or there is no such shape.
         ResourceError: It takes too much memory or time.
     """
-    arguments = [shape, name, str(points_per_cell_edge), fit]
+    if "\0" in f"{shape}{name}":
+        raise MeshError("There is no shape with a NUL in its name.", "GET /v1/shapes lists them.")
+    kind = "file" if isinstance(shape, Path) else "shape"
+    arguments = [kind, str(shape), name, str(points_per_cell_edge), fit]
     head, _, body = read_mesh("worker.preview", arguments, name, settings).partition(b"\n")
     answer = json.loads(head)
     if "error" in answer:
@@ -63,9 +67,9 @@ def _main() -> None:
     from morph_engine import ingest, shapes  # noqa: F401  the program's own memory is free
 
     limited.enter()
-    shape, name, points_per_cell_edge, fit = sys.argv[1:]
+    kind, shape, name, points_per_cell_edge, fit = sys.argv[1:]
     try:
-        preview = _sample(shape, name, int(points_per_cell_edge), fit)
+        preview = _sample(kind, shape, name, int(points_per_cell_edge), fit)
     except MemoryError:
         sys.exit(limited.OUT_OF_MEMORY)
     except MorphError as error:
@@ -76,13 +80,13 @@ def _main() -> None:
     sys.stdout.buffer.write(preview.positions.astype("<f4").tobytes())
 
 
-def _sample(shape: str, name: str, points_per_cell_edge: int, fit: str) -> Preview:
+def _sample(kind: str, shape: str, name: str, points_per_cell_edge: int, fit: str) -> Preview:
     from morph_engine.ingest import check_mesh
     from morph_engine.mesh import load_mesh
     from morph_engine.sampling import HALF_EXTENT, fit_to_domain, sample_lattice
     from morph_engine.shapes import make
 
-    mesh = replace(load_mesh(shape), name=name) if Path(shape).is_absolute() else make(shape)
+    mesh = replace(load_mesh(shape), name=name) if kind == "file" else make(shape)
     warnings: tuple[str, ...] = ()
     if fit == "auto":
         fits = bool(np.abs(mesh.bounds).max() <= HALF_EXTENT)

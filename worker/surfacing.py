@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.durable import acquire, replacing
+from morph_engine.durable import replacing, wait_for
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.run_record import RunRecord
 from worker import limited
@@ -25,7 +24,7 @@ from worker.frames import mesh_in_grid_units, read_frame, read_record
 from worker.settings import Settings
 from worker.storage import Storage
 
-LOCK_SECONDS = 0.1
+LESS = "Run the job with fewer points per cell edge."
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +86,11 @@ def compute_surface(
         threads=limited.MOST_THREADS,
     )
     arguments = [str(result), str(index), str(int(finished)), str(path)]
-    with limited.explaining("The surface", limits):
-        said = limited.run("worker.surfacing", arguments, limits, meet=meet)
+    with limited.explaining("The surface", "compute", limits, LESS):
+        try:
+            said = limited.run("worker.surfacing", arguments, limits, meet=meet)
+        except limited.Broken as how:
+            raise ResultError(f"The surface has broken off ({how}).", "Try it again.") from None
     if said:
         raise ResultError(**json.loads(said))
 
@@ -102,14 +104,15 @@ def _main() -> None:
         _keep(Path(result), int(index), finished == "1", Path(path))
     except MemoryError:
         sys.exit(limited.OUT_OF_MEMORY)
+    except OSError as error:  # the disk is full, or the job has been deleted
+        cause = f"The surface cannot be kept ({error.strerror})."
+        sys.stdout.write(json.dumps({"cause": cause, "remedy": "Free some disk space."}))
     except MorphError as error:
         sys.stdout.write(json.dumps({"cause": error.cause, "remedy": error.remedy}))
 
 
 def _keep(result: Path, index: int, finished: bool, path: Path) -> None:
-    while (lock := acquire(path.parent / "lock")) is None:  # another API may be at it
-        time.sleep(LOCK_SECONDS)
-    with lock:
+    with wait_for(path.parent / "lock"):  # another API may be at it
         if path.exists():
             return
         frame, record = read_frame(result, index, finished), read_record(result)

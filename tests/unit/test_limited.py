@@ -52,6 +52,8 @@ def test_what_a_child_prints_is_its_answer() -> None:
         ("while True: pass", limited.TooMuchTime),
         ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", limited.Broken),
         ("import os; os.abort()", limited.Broken),
+        ("import os; os.write(2, b'std::bad_alloc'); os.abort()", limited.TooMuchMemory),
+        ("import os; os.kill(os.getpid(), 9)", limited.Killed),
     ],
 )
 def test_a_child_that_does_too_much_is_ended(
@@ -61,6 +63,14 @@ def test_a_child_that_does_too_much_is_ended(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error):
         limited.run("child", [f"print(1)\n{code}"], Limits(1 << 28, 1, file_bytes=1000))
+
+
+def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture) -> None:
+    """The end of what it said is logged where it breaks."""
+    code = "sys.stderr.write('x' * 300_000 + 'the reason'); sys.exit(3)"
+    with pytest.raises(limited.Broken, match="exit status 3"):
+        limited.run("child", [code], Limits(1 << 28, 10))
+    assert "the reason" in caplog.text and len(caplog.text) < 20_000
 
 
 def test_a_child_ends_with_its_parent() -> None:

@@ -8,17 +8,21 @@ import time
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import trimesh
 from PIL import Image
 
 from client.api import MorphClient
 from client.service_error import ServiceError
+from morph_engine.export import FORMATS
 from morph_engine.run_record import RunRecord
+from server import exports
 from tests.integration.api.conftest import Api
 from worker import limited
 
@@ -166,6 +170,57 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
     file = api.http.get(f"{asked.headers['Location']}/file")
     assert file.status_code == 409 and file.json()["detail"] == export["problem"]["cause"]
     assert api.http.post(path, json={"format": "obj", "surface": True}).status_code == 202
+
+
+def test_an_export_can_be_deleted(api: Api, run: RunRecord) -> None:
+    """With its file, and what killed ones have left behind goes with the next."""
+    job = api.finished(run)
+    folder = api.service.storage.exports_dir(job)
+    path = f"/v1/jobs/{job}/exports"
+    location = api.http.post(path, json={"format": "csv"}).headers["Location"]
+    first = ready(api, location)
+    (folder / "tmpabc").mkdir()
+    (folder / "tmpabc" / "part.ply").write_text("ply")
+    (folder / f"{'0' * 26}.zip.tmp").write_text("PK")
+    npz = api.http.post(path, json={"format": "npz"}).headers["Location"]
+    second = ready(api, npz)
+    ids = {first["id"], second["id"]}
+    assert {entry.name.partition(".")[0] for entry in folder.iterdir()} == {*ids, "lock"}
+    assert api.http.delete(location).status_code == 204
+    assert api.http.get(location).status_code == 404
+    assert api.http.delete(location).status_code == 404
+    assert {entry.name.partition(".")[0] for entry in folder.iterdir()} == {second["id"], "lock"}
+    assert api.http.get(second["links"]["file"]).headers["content-type"] == (
+        "application/octet-stream"
+    )
+
+
+def surfacing() -> psutil.Process:
+    """The child that computes a surface, once there is one; it is halted."""
+    while True:
+        for child in psutil.Process().children():
+            with suppress(psutil.Error):
+                if "worker.surfacing" in child.cmdline():
+                    child.suspend()
+                    return child
+        time.sleep(0.01)
+
+
+def test_a_deleted_job_ends_what_is_computed_from_it(api: Api, run: RunRecord) -> None:
+    """The child is killed, and who waits for it is told."""
+    job = api.finished(run)
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(api.http.get, f"/v1/jobs/{job}/frames/0/surface")
+        child = surfacing()
+        assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
+        assert answer.result(10).status_code == 404, answer.result().text
+    assert not child.is_running()
+
+
+def test_the_contract_names_every_kind_of_file() -> None:
+    """Of exports; the list is written down, because the formats are slow to import."""
+    kinds = {format.media_type for format in FORMATS.values()}
+    assert set(exports.FILES) == kinds | {"application/zip"}
 
 
 def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from morph_engine import configure
 from morph_engine.fields import FIELDS
 from morph_engine.morphing import prepare
 from morph_engine.run_record import RunRecord
-from tests.integration.api.conftest import COARSE, Api
+from tests.integration.api.conftest import COARSE, CUBE, Api
 
 
 def decoded(answer: Any) -> np.ndarray:
@@ -98,7 +99,15 @@ def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) ->
     assert "scaled" in warning and np.abs(decoded(answer)).max() < 14
     refused = api.http.get(f"/v1/meshes/{mesh}/particles?fit=none")
     assert refused.status_code == 422 and "volume" in refused.json()["remedy"]
-    for path in ("shapes/spere/particles", "shapes/text:/particles", "shapes/%2Fetc/particles"):
+    secret = tmp_path / "secret.obj"
+    secret.write_text(CUBE)
+    for path in (
+        "shapes/spere/particles",
+        "shapes/text:/particles",
+        "shapes/text:A%00/particles",
+        f"shapes/{secret}/particles",
+        f"shapes/{quote(str(secret), safe='')}/particles",
+    ):
         answer = api.http.get(f"/v1/{path}")
         assert answer.status_code == 422 and answer.json()["remedy"]
     assert api.http.get(f"/v1/meshes/{'0' * 64}/particles").status_code == 404
