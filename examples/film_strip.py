@@ -3,7 +3,7 @@
     python examples/film_strip.py sphere-to-bunny.vtkhdf docs/images/morph.png --frames 0 4 8 39
 
 Each particle is a small lit sphere and keeps the colour of its height in the source, so that one
-sees where matter goes. Only NumPy and Matplotlib are needed.
+sees where matter goes.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.metrics import Points, finite_points, target_points
+from morph_engine.metrics import Points, distance_to_other, finite_points, target_points
 
 __all__ = ["FIELDS", "FieldDefinition", "field", "find"]
 
@@ -59,7 +59,7 @@ FIELDS: dict[str, FieldDefinition] = {
     "det_f": FieldDefinition(
         "Volume change",
         "ratio",
-        "det F: the particle's volume over its volume at rest",
+        "det F: the volume over that at rest, as far as the grid moved the particle",
         diverging=True,
     ),
     "overlap": FieldDefinition(
@@ -212,12 +212,10 @@ def _target_hits(frame: _Frame) -> npt.NDArray[np.intp]:
 
 
 def _overlap(frame: _Frame) -> Points:
-    """Identical points are told apart first: a tree cannot split them."""
     distinct, which, copies = np.unique(
         frame.points, axis=0, return_inverse=True, return_counts=True
     )
-    gap, _ = cKDTree(distinct).query(distinct, k=[2], workers=frame.workers)
-    gap = np.where(copies > 1, 0.0, gap[:, 0])
+    gap = distance_to_other(distinct, copies, cKDTree(distinct), workers=frame.workers)
     overlap: Points = gap[which.reshape(-1)] / frame.spacing
     return overlap
 

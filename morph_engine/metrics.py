@@ -59,7 +59,7 @@ class Definition:
     """
 
     formula: str
-    unit: Literal["dx", "dx^2", "dx/s", "h", "share", "count", "ratio", "energy", "-"]
+    unit: Literal["dx", "dx^2", "dx/s", "s", "h", "share", "count", "ratio", "energy", "-"]
     better: Literal["lower", "higher", "one"]
     meaning: str
 
@@ -131,17 +131,17 @@ METRICS: dict[str, Definition] = {
     ),
     # state
     "escaped": Definition(
-        "#{p : x_p not in [-14, 14]^3}",
+        "#{p : x_p not in [-d, d]^3}",
         "count",
         "lower",
-        "particles that left the domain's safe part",
+        "particles outside the domain of half edge d, where runs with a grid end",
     ),
     "det_f_min": Definition(
         "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
     ),
     "det_f_max": Definition("max_p det F_p", "ratio", "one", "strongest expansion"),
     "det_f_mean": Definition(
-        "mean_p det F_p", "ratio", "one", "volume of the matter over its volume at rest"
+        "mean_p det F_p", "ratio", "one", "volume over volume at rest, as far as the grid moved it"
     ),
     "max_move": Definition(
         "max_p norm(x_p - x_p of the frame before)", "dx", "lower", "farthest way in a frame"
@@ -165,9 +165,9 @@ METRICS: dict[str, Definition] = {
     ),
     "loss_points": Definition(
         "1/2 (mean_p omega_p d_fwd^2 + mean_j omega_j d_rev^2) + regularisers",
-        "-",
+        "dx^2",
         "lower",
-        "objective of the methods that move points; density_aware has its own form",
+        "objective of methods that move points; of density_aware, swd and sinkhorn their distance",
     ),
     "loss_transport": Definition(
         "mean_p norm(x_p - y_p)^2",
@@ -180,6 +180,14 @@ METRICS: dict[str, Definition] = {
         "dx",
         "lower",
         "what `transport` mends of the motion in a frame",
+    ),
+    # how the frame was computed
+    "dt": Definition("dt", "s", "higher", "time step, halved where a trial failed"),
+    "accepted_steps": Definition(
+        "#{steps taken}", "count", "higher", "control steps of the frame that improved it"
+    ),
+    "failed_steps": Definition(
+        "#{steps refused}", "count", "lower", "control steps of which every trial was rejected"
     ),
     # fill of the volume (algorithm 9.2)
     "iou": Definition("#(A n B) / #(A u B)", "share", "higher", "volume overlap of the two fills"),
@@ -258,6 +266,29 @@ def target_points(target: npt.ArrayLike) -> Points:
     return points
 
 
+def distance_to_other(
+    distinct: Points,
+    copies: npt.NDArray[np.intp],
+    tree: cKDTree,
+    *,
+    bound: float = math.inf,
+    workers: int = 1,
+) -> Points:
+    """Distance from each point to the nearest other one [dx], shape [k].
+
+    Identical points are told apart first: a tree cannot split them, and searching them is O(n^2).
+
+    Args:
+        distinct: Points, no two of them equal [dx], shape [k, 3], float64.
+        copies: How many there are of each, shape [k].
+        tree: Tree of the distinct points.
+        bound: Distances beyond this are infinite [dx].
+        workers: Threads; -1 takes every core.
+    """
+    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=bound, workers=workers)
+    return np.where(copies > 1, 0.0, gap[:, 0])
+
+
 def chamfer_metrics(
     positions: npt.ArrayLike,
     target: npt.ArrayLike,
@@ -325,9 +356,7 @@ def chamfer_metrics(
     target_count = np.unique(nearest).size
 
     close = (0.01, 0.1 * spacing)
-    # identical points are counted apart: a tree cannot split them, and searching them is O(n^2)
-    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=max(*close, spacing), workers=workers)
-    gap = np.where(copies > 1, 0.0, gap[:, 0])
+    gap = distance_to_other(distinct, copies, tree, bound=max(*close, spacing), workers=workers)
     overlap_01, overlap_h10 = (float(copies[gap < limit].sum()) / count for limit in close)
 
     return (

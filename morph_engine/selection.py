@@ -100,7 +100,7 @@ class Selection:
         return field(
             name,
             positions=trajectory.positions(frame),
-            previous=trajectory.positions(frame - 1) if frame else None,
+            previous=trajectory.positions(frame - 1) if frame and name == "speed" else None,
             source=trajectory.run.source_points,
             target=trajectory.target_points,
             det_f=trajectory.det_f(frame) if name == "det_f" else None,

@@ -81,13 +81,19 @@ def _write_vtk(root: h5py.Group, spool: Spool) -> None:
     for frame in range(frame_count):
         points[frame * particle_count : (frame + 1) * particle_count] = spool.positions(frame)
 
-    det_f = [spool.det_f(frame) for frame in range(frame_count)]
-    known = [values for values in det_f if values is not None]
-    with_det_f = 0 < len(known) == frame_count
+    with_det_f = frame_count > 0 and all(
+        spool.det_f(frame) is not None for frame in range(frame_count)
+    )
     if with_det_f:
-        root.create_group("PointData").create_dataset(
-            "det_f", data=np.concatenate(known), chunks=(particle_count,), fletcher32=True
+        det_f = root.create_group("PointData").create_dataset(
+            "det_f",
+            (frame_count * particle_count,),
+            "<f4",
+            chunks=(particle_count,),
+            fletcher32=True,
         )
+        for frame in range(frame_count):
+            det_f[frame * particle_count : (frame + 1) * particle_count] = spool.det_f(frame)
 
     shown = particle_count if frame_count else 0  # a run stopped in its first frame shows nothing
     _store(root, "NumberOfPoints", np.array([shown]))

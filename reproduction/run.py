@@ -12,9 +12,9 @@ from morph_engine.config import MorphConfig
 from morph_engine.presets import configure
 from reproduction.meshes import MeshFolder, particle_count
 
-SIMULATED = ("physics", "joint")
-"""Methods that simulate matter; the others move points alone, and every preset has the same
-settings for them."""
+CONTROLLED = ("physics", "joint")
+"""Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`
+needs none, and for methods that move points alone every preset has the same settings."""
 
 _OF_POINTS = ("points", "regularisers", "density", "basis")
 _OF_CONTROL = ("smoothing", "adjoint", "grid_loss", "chamfer")
@@ -31,8 +31,8 @@ CPU_SECONDS_PER_PARTICLE_FRAME = {
     "regularised": 30e-6,
     "shared_basis": 25e-6,
     "transport": 9e-6,
-    "swd": 70e-6,
-    "sinkhorn": 400e-6,
+    "swd": 165e-6,
+    "sinkhorn": 230e-6,
 }
 CPU_SECONDS_PER_POINT_FRAME = 15e-6
 QUICK_SHARE = 0.4
@@ -101,13 +101,13 @@ class Run(BaseModel):
         of_others = tuple(section for name, section in _OF_ONE.items() if name != self.method)
         if self.method == "transport":
             return (*of_others, *_OF_POINTS, *_OF_CONTROL)
-        if self.method in SIMULATED:
+        if self.method in CONTROLLED:
             return (*of_others, *_OF_POINTS)
         return (*of_others, *_OF_MATTER, *_OF_CONTROL)
 
     def quick(self) -> Run:
         """The same with the preset `fast`, where that changes anything."""
-        if self.method not in SIMULATED or self.preset != "published":
+        if self.method not in CONTROLLED or self.preset != "published":
             return self
         return self.model_copy(update={"id": f"{self.id}-quick", "preset": "fast"})
 
@@ -119,5 +119,5 @@ class Run(BaseModel):
         rate = CPU_SECONDS_PER_PARTICLE_FRAME.get(
             "regularised" if is_regularised else self.method, CPU_SECONDS_PER_POINT_FRAME
         )
-        share = QUICK_SHARE if self.preset == "fast" and self.method in SIMULATED else 1.0
+        share = QUICK_SHARE if self.preset == "fast" and self.method in CONTROLLED else 1.0
         return CPU_SECONDS_AT_START + share * rate * particles * self.frames

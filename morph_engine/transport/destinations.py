@@ -25,23 +25,22 @@ def even_destinations(target: Points, count: int, spacing: float, seed: int = 0)
     """Places for particles that fill a target evenly.
 
     Args:
-        target: Target points on a lattice [dx], shape [m, 3], float64.
+        target: Target points [dx], shape [m, 3], float64; a lattice is filled most evenly.
         count: Number of particles n.
-        spacing: Spacing h of the lattice [dx].
+        spacing: Spacing h of the lattice, or what is usual in the cloud [dx].
         seed: Of the choice of points that are shared or doubled.
 
     Returns:
         Destinations [dx], shape [n, 3], float64.
     """
     rng = np.random.default_rng(seed)
-    points = target
+    if count < len(target):
+        return _shared(target, count, spacing, rng)
+    points, is_inside = target, _is_inside(target, spacing)
     while count > 2 * len(points):
         points, spacing = _doubled(points, np.arange(len(points)), spacing), spacing / 2
-    if count > len(points):
-        return _doubled(points, _inside_first(points, count - len(points), spacing, rng), spacing)
-    if count < len(points):
-        return _shared(points, count, spacing, rng)
-    return points
+        is_inside = np.tile(is_inside, 2)
+    return _doubled(points, _inside_first(points, is_inside, count - len(points), rng), spacing)
 
 
 def random_destinations(target: Points, count: int, seed: int = 0) -> Points:
@@ -62,13 +61,20 @@ def random_destinations(target: Points, count: int, seed: int = 0) -> Points:
     return drawn
 
 
-def _inside_first(
-    points: Points, number: int, spacing: float, rng: np.random.Generator
-) -> NDArray[np.intp]:
-    """Choose points evenly, those at the surface last: in their place two might stick out."""
+def _is_inside(points: Points, spacing: float) -> NDArray[np.bool_]:
+    """Which points have neighbours on all six sides, shape [m]."""
     cell, index = _lattice(points, spacing)
     steps = np.concatenate([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
-    is_inside = np.all([index[tuple((cell + step).T)] >= 0 for step in steps], axis=0)
+    sides: NDArray[np.bool_] = np.all(
+        [index[tuple((cell + step).T)] >= 0 for step in steps], axis=0
+    )
+    return sides
+
+
+def _inside_first(
+    points: Points, is_inside: NDArray[np.bool_], number: int, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Choose points evenly, those at the surface last: in their place two might stick out."""
     inside, surface = np.flatnonzero(is_inside), np.flatnonzero(~is_inside)
     more = max(number - len(inside), 0)
     return np.concatenate(
@@ -118,7 +124,9 @@ def _bricks(points: Points, spacing: float) -> tuple[NDArray[np.intp], NDArray[n
         axis, and of pairs at its surface.
     """
     cell, index = _lattice(points, spacing)
-    first = np.flatnonzero(cell.sum(axis=1) % 2 == 0)
+    is_first = cell.sum(axis=1) % 2 == 0
+    # of a cloud that is no lattice, several points may lie in a cell; one of them pairs
+    first = np.flatnonzero(is_first & (index[tuple(cell.T)] == np.arange(len(points))))
     choices = []
     for axis in np.eye(3, dtype=int):
         before, second, after = (index[tuple((cell[first] + k * axis).T)] for k in (-1, 1, 2))
@@ -151,8 +159,8 @@ def _lattice(points: Points, spacing: float) -> tuple[NDArray[np.int_], NDArray[
     """Where on their lattice points are, even if moved by up to 0.1 h.
 
     Returns:
-        Cell of each point, shape [m, 3], and the point of each cell, -1 in empty ones, of which
-        two layers surround the shape.
+        Cell of each point, shape [m, 3], and a point of each cell, -1 in empty ones, of which two
+        layers surround the shape.
     """
     cell: NDArray[np.int_] = np.rint((points - points.min(axis=0)) / spacing).astype(int) + 2
     index = np.full(cell.max(axis=0) + 3, -1)

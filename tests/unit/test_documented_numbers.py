@@ -2,6 +2,7 @@
 
 import csv
 import re
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -16,25 +17,58 @@ COLUMNS = (
 NUMBER = re.compile(r"(?<![\w.,/-])\d*\.\d{3,4}(?![\w.])")
 
 
-def tabulated():
-    """Every number of the committed tables, and of the sentences of the reports."""
-    numbers = set()
+def rows():
+    """The numbers of each row of the committed tables."""
+    found = defaultdict(list)
     for path in DOCS.glob("results/tables/*.csv"):
         with path.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
-                numbers |= {abs(float(row[name])) for name in COLUMNS if row.get(name)}
-    for path in DOCS.glob("results/report.md"):
-        numbers |= {float(text) for text in NUMBER.findall(path.read_text(encoding="utf-8"))}
-    return numbers
+                found[path.stem, row["row"]] += [
+                    abs(float(row[name])) for name in COLUMNS if row.get(name)
+                ]
+    return list(found.values())
+
+
+def sentences():
+    """The numbers of the report outside its tables: what was found over many rows."""
+    text = (DOCS / "results" / "report.md").read_text(encoding="utf-8")
+    return numbers("\n".join(line for line in text.splitlines() if line[:1] != "|"))
+
+
+def numbers(text):
+    """Those with three digits or four behind the point, as they stand there."""
+    return NUMBER.findall(text)
+
+
+def is_among(number, values):
+    """Whether a number is one of these, to the digits that are shown."""
+    half_a_digit = 0.501 * 10.0 ** -len(number.split(".")[1])
+    return any(abs(float(value) - float(number)) <= half_a_digit for value in values)
 
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_every_measurement_is_in_a_table(name):
-    """To the digits that are shown."""
-    known = tabulated()
-    text = (DOCS / name).read_text(encoding="utf-8").split(MEASURED[name])[1]
-    shown = NUMBER.findall(text)
-    assert len(shown) > 10
-    for number in shown:
-        half_a_digit = 0.501 * 10.0 ** -len(number.split(".")[1])
-        assert any(abs(value - float(number)) <= half_a_digit for value in known), number
+    """What stands together, in a row or in a cell of one, is of one row of our tables.
+
+    A number that stands alone is told by a sentence of the report, or in a table.
+    """
+    known, told = rows(), sentences()
+    every = [value for values in known for value in values] + told
+    measured = (DOCS / name).read_text(encoding="utf-8").split(MEASURED[name])[1]
+    assert len(numbers(measured)) > 10
+
+    def is_of_one_row(shown):
+        return any(all(is_among(number, values) for number in shown) for values in known)
+
+    for line in measured.splitlines():
+        if line[:1] != "|":
+            for number in numbers(line):
+                assert is_among(number, every), (number, line)
+        elif not is_of_one_row(numbers(line)):
+            for cell in line.split("|"):
+                shown = numbers(cell)
+                assert (
+                    is_of_one_row(shown)
+                    if len(shown) > 1
+                    else all(is_among(number, told) for number in shown)
+                ), (cell, line)
