@@ -78,7 +78,7 @@ class Transport(Method):
             if faults:
                 raise SimulationError(
                     f"Frame {frame} cannot go on: {', '.join(fault_names(faults))}.",
-                    "Those before it are kept; try more frames, or more time.transitions_per_frame.",
+                    "Those before it are kept; use more frames, or time.transitions_per_frame.",
                 )
             limit = transport.correction * self.problem.config.spacing
             steering.correct(there.x, corrected, begin, destination, share, limit)
