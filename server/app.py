@@ -78,6 +78,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.instruments = instruments
     problems.install(app)
+    app.add_exception_handler(404, page.not_found)
     app.add_middleware(health.MeasuringMiddleware, instruments)
     v1 = APIRouter(prefix="/v1")
     for room in ROUTERS:

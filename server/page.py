@@ -12,7 +12,7 @@ from pathlib import Path
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from server.problems import ProblemError
+from server.problems import ProblemError, as_problem
 
 router = APIRouter(include_in_schema=False)
 
@@ -58,6 +58,17 @@ def _document(address: str) -> Callable[[Request], Awaitable[Response]]:
 
 for _address in VIEWS:
     router.add_api_route(_address, _document(_address), methods=METHODS)
+
+
+async def not_found(request: Request, error: Exception) -> Response:
+    """An address that nothing is at: the page for a person, which says so, and a problem else."""
+    asks_for_page = "text/html" in request.headers.get("accept", "") and request.method in METHODS
+    if asks_for_page and not request.url.path.startswith(("/v1/", "/assets/")):
+        answer = _file(request, "index.html", "no-cache")
+        if answer is not None:
+            answer.status_code = 404
+            return answer
+    return as_problem(error).response()
 
 
 @router.api_route("/assets/{name}", methods=METHODS)

@@ -197,7 +197,7 @@ class ProblemMiddleware:
                     name.decode("latin-1").lower(): value.decode("latin-1")
                     for name, value in message["headers"]
                 }
-                if not headers.get("content-type", "").startswith(MEDIA_TYPE):
+                if headers.get("content-type", "text/plain").startswith("text/plain"):
                     replaced = True
                     kept = {
                         name: value

@@ -243,7 +243,7 @@ def _watch(context: BrowserContext, service: LiveService, faults: list[str]) -> 
 
     def _own(url: str) -> bool:
         path = urlsplit(url).path
-        return url.startswith(service.url) and (path.startswith("/v1/") or path == "/readyz")
+        return url.startswith(service.url) and path.startswith(("/v1/", "/readyz", "/nothing/"))
 
     def look(request: Any) -> None:
         if not request.url.startswith((service.url, "blob:", "data:")):

@@ -83,6 +83,27 @@ def saved(page: Page, label: str | re.Pattern[str], folder: Path) -> Path:
     return path
 
 
+def test_a_remembered_target_comes_with_the_first_frame(new_service, new_page):
+    """On a page that was opened before the job began, too."""
+    fresh = new_service()
+    page = new_page(of=fresh)
+    page.goto("/")
+    shown = {"colour": "height", "target": "cloud", "up": "y"}
+    page.evaluate("shown => localStorage.setItem('morph-display', JSON.stringify(shown))", shown)
+    before = fresh.submit(name="in the way", frames=MANY)
+    fresh.wait_for(before, "running")
+    job = fresh.submit(name="waiting", frames=FRAMES, method="dco")
+    with page.expect_response(re.compile("/target")) as refused:
+        page.goto(f"/jobs/{job}")
+    assert refused.value.status == 404
+    expect(page.locator(".scene canvas")).to_have_attribute(
+        "aria-label", "No frame is finished yet."
+    )
+    with page.expect_response(re.compile("/target"), timeout=COMPILING * 1000) as found:
+        fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    assert found.value.ok
+
+
 def test_a_job_is_watched_to_its_end(service, page):
     """Frames, curves and state arrive by themselves, and the newest frame is in sight."""
     job = service.submit(name="watched", frames=FRAMES, method="dco")

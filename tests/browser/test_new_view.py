@@ -134,6 +134,41 @@ def test_changed_settings_alone_are_sent(service, page):
     assert config["chamfer"]["huber_delta"] == 0.75
 
 
+def test_an_unfinished_choice_is_not_sent(page):
+    """Where a kind of shape is chosen and no shape, nothing is morphed in its place."""
+    sent = []
+    page.on("request", lambda request: sent.append(request.method))
+    page.goto("/new")
+    morph = page.get_by_role("button", name="Morph")
+    card(page, "From").get_by_role("radio", name="Mesh file").check()
+    morph.click()
+    expect(card(page, "From").get_by_role("alert")).to_contain_text("Choose a mesh file")
+    expect(card(page, "From").get_by_label("Mesh file of the source")).to_be_focused()
+    card(page, "From").get_by_role("radio", name="Built-in").check()
+    card(page, "To").get_by_role("radio", name="Text").check()
+    card(page, "To").get_by_label("Word").fill("no spaces")
+    morph.click()
+    expect(card(page, "To").get_by_label("Word")).to_be_focused()
+    assert "POST" not in sent
+
+
+def test_a_newer_choice_outlives_an_upload(mesh_files, page):
+    """A mesh that arrives late does not replace what was chosen meanwhile."""
+    held = []
+    page.route(re.compile("/v1/meshes\\?name"), lambda route: held.append(route))
+    page.goto("/new")
+    card(page, "From").get_by_label("Mesh file of the source").set_input_files(
+        mesh_files["ball.obj"]
+    )
+    expect(card(page, "From").get_by_role("progressbar")).to_be_visible()
+    card(page, "From").get_by_role("radio", name="Built-in").check()
+    card(page, "From").get_by_role("radio", name="torus").check()
+    expect(card(page, "From").get_by_role("progressbar")).to_have_count(0)
+    assert len(held) == 1
+    page.wait_for_url(re.compile("source=shape(:|%3A)torus"))
+    expect(card(page, "From").get_by_role("radio", name="torus")).to_be_checked()
+
+
 def test_what_is_being_typed_stays(page):
     """A preset that arrives late fills every field but the one somebody types in."""
     held = []

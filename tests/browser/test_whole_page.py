@@ -74,7 +74,9 @@ def test_light_and_dark_are_chosen_and_kept(page):
 
 
 def test_an_unknown_address_says_so(page):
-    """A job that does not exist is a sentence, not an empty page."""
+    """Where nothing is, and a job that does not exist: a sentence, not an empty page."""
+    assert page.goto("/nothing/here").status == 404
+    expect(page.get_by_role("heading", name="There is nothing here")).to_be_visible()
     page.goto("/jobs/00000000000000000000000000")
     expect(page.get_by_role("alert")).to_contain_text("There is no job")
 

@@ -75,11 +75,26 @@ export async function field(jobId, frame, name, { low, high, signal } = {}) {
 
 /** Let the browser save what is at an address. */
 export async function save(path, name, { query, signal } = {}) {
+  if (key()) return saveBlob(await (await request("GET", path, { query, signal })).blob(), name);
+  // a link does not tell of a refusal: see how the answer begins, and leave it
+  const looking = new AbortController();
+  await request("GET", path, { query, signal: AbortSignal.any([looking.signal, signal].filter(Boolean)) });
+  looking.abort();
+  saveFrom(url(path, query), name);
+}
+
+/** Let the browser save what is in a blob. */
+export function saveBlob(blob, name) {
+  const address = URL.createObjectURL(blob);
+  saveFrom(address, name);
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
+function saveFrom(address, name) {
   const link = document.createElement("a");
   link.download = name;
-  link.href = key() ? await picture(path, { query, signal }) : url(path, query);
+  link.href = address;
   link.click();
-  if (link.href.startsWith("blob:")) setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
 /**
@@ -147,8 +162,13 @@ export async function* events(jobId, { after = 0, signal, onState = () => {} } =
 /** Wait [ms], or until a signal ends the wait. */
 export function pause(milliseconds, signal) {
   return new Promise((resolve) => {
-    const timer = setTimeout(resolve, milliseconds);
-    signal?.addEventListener("abort", () => (clearTimeout(timer), resolve()), { once: true });
+    const end = () => {
+      clearTimeout(timer);
+      signal?.removeEventListener("abort", end);
+      resolve();
+    };
+    const timer = setTimeout(end, milliseconds);
+    signal?.addEventListener("abort", end);
   });
 }
 
@@ -221,6 +241,6 @@ function unreachable() {
   return new Problem({
     title: "No answer",
     detail: "The service does not answer.",
-    remedy: "It is tried again; see that the service runs.",
+    remedy: "See that the service runs, and try again.",
   });
 }

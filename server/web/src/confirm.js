@@ -5,10 +5,10 @@ import { h } from "./dom.js";
 /**
  * Ask, in a dialog of the browser's own.
  *
- * @param {{title: string, text: string, action: string, danger?: boolean}} question
+ * @param {{title: string, text: string, action: string}} question
  * @returns {Promise<boolean>} whether the answer was the action
  */
-export function confirmed({ title, text, action, danger = true }) {
+export function confirmed({ title, text, action }) {
   return new Promise((resolve) => {
     const dialog = h(
       "dialog",
@@ -22,7 +22,7 @@ export function confirmed({ title, text, action, danger = true }) {
           "div",
           { class: "actions" },
           h("button", { value: "no", autofocus: true }, "Keep it"),
-          h("button", { value: "yes", class: danger ? "danger" : "primary" }, action),
+          h("button", { value: "yes", class: "danger" }, action),
         ),
       ),
     );

@@ -1,14 +1,13 @@
 /** Elements from plain calls. Text is always text: no markup is ever parsed. */
 
 const SVG = "http://www.w3.org/2000/svg";
-const PROPERTIES = new Set(["value", "checked", "indeterminate", "selected", "disabled", "files"]);
+const PROPERTIES = new Set(["value", "checked", "disabled"]);
 
 /**
  * An HTML element.
  *
  * @param {string} tag
- * @param {object|null} attributes `on` holds listeners by event, `style` CSS properties, `data`
- *   data-attributes; true is an empty attribute; null, undefined and false are left out.
+ * @param {object|null} attributes `on` holds listeners by event, `data` data-attributes; true is an empty attribute; null, undefined and false are left out.
  * @param {...(Node|string|number|null|false|Array)} children
  */
 export function h(tag, attributes, ...children) {
@@ -26,15 +25,25 @@ export function fill(element, ...children) {
   return element;
 }
 
+/**
+ * Draw a part anew if what it is drawn from has changed; the focus stays in it.
+ *
+ * @param {object} drawn what each part was last drawn from, by name; changed here.
+ */
+export function redraw(drawn, name, element, from, make) {
+  const key = JSON.stringify(from);
+  if (drawn[name] === key) return;
+  drawn[name] = key;
+  const focused = element.contains(document.activeElement);
+  fill(element, make());
+  if (focused) element.querySelector("button, a")?.focus();
+}
+
 function dress(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes ?? {})) {
     if (name === "on") {
       for (const [event, listener] of Object.entries(value)) {
         element.addEventListener(event, listener);
-      }
-    } else if (name === "style") {
-      for (const [property, text] of Object.entries(value)) {
-        element.style.setProperty(property, text);
       }
     } else if (name === "data") {
       Object.assign(element.dataset, value);

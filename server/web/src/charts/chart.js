@@ -98,7 +98,6 @@ export class Chart {
       grid: { stroke: colour("--grid"), width: 1 },
       ticks: { show: false },
     };
-    const points = { show: this.data[0].length === 1 };
     this.chart = new uPlot(
       {
         width,
@@ -130,7 +129,7 @@ export class Chart {
             label,
             stroke: colour(`--series-${i + 1}`),
             width: 1.75,
-            points: this.data[0].length === 1 ? points : { show: false },
+            points: { show: () => this.data[0].length === 1 },
           })),
         ],
         // scales change after data do, and before they are drawn

@@ -39,6 +39,9 @@ export class Curves {
     const shape = JSON.stringify(groups.map((group) => group.present));
     if (shape !== this.shape) {
       this.shape = shape;
+      this.replaced?.abort();
+      this.replaced = new AbortController();
+      const signal = AbortSignal.any([this.signal, this.replaced.signal]);
       this.charts = groups.map(({ title, unit, log, names, present }) => ({
         present,
         chart: new Chart({
@@ -48,7 +51,7 @@ export class Curves {
           labels: present.map((name) => names[name]),
           key: KEY,
           onSeek: this.onSeek,
-          signal: this.signal,
+          signal,
         }),
       }));
       fill(this.grid, this.charts.map(({ chart }) => chart.element));

@@ -4,6 +4,7 @@ import { number } from "../format.js";
 import { COLOURS } from "./colours.js";
 
 const PLACE = "morph-display";
+const EXTENT = 14; // half edge of the domain's safe part [grid units]
 
 /** How things are shown until somebody chooses otherwise. */
 export const USUAL = {
@@ -17,15 +18,15 @@ export const USUAL = {
 
 /** Controls of the display; `onChange` hears every choice. Those of taste are kept for next time. */
 export class Display {
-  /** @param {{extent: number, onChange: (display: object) => void}} options extent [grid units] */
-  constructor({ extent, onChange }) {
+  /** @param {{onChange: (display: object) => void}} options */
+  constructor({ onChange }) {
     this.onChange = onChange;
     this.state = { ...USUAL, ...stored() };
     const colours = Object.entries(COLOURS).map(([name, { label }]) => [name, label]);
     this.offset = h("input", {
       type: "range",
-      min: -extent,
-      max: extent,
+      min: -EXTENT,
+      max: EXTENT,
       step: 0.1,
       value: 0,
       id: "display-offset",

@@ -109,6 +109,7 @@ export class Panel {
     this.index = index;
     viewer?.setFrame(index, this.frames.positions(index));
     this.describe();
+    if (viewer && this.#targetShown !== this.display.target) this.#showTarget(viewer);
     if (viewer) await this.#paint(viewer, turn);
   }
 
@@ -170,6 +171,7 @@ export class Panel {
     this.#viewer.setUp(up);
     this.#viewer.setCut(axis === "none" ? null : { axis, offset });
     this.#showTarget(this.#viewer);
+    this.describe();
     return this.#viewer;
   }
 
@@ -204,7 +206,9 @@ export class Panel {
       this.#say(mesh ? about(mesh) : "");
     } catch (error) {
       if (stale() || error.name === "AbortError") return;
-      if (!surface) {
+      if (surface) {
+        viewer.setSurface(null); // that of another frame
+      } else {
         viewer.setColors(null);
         this.legend.show(null);
       }
@@ -242,12 +246,13 @@ export class Panel {
     const given = { ...(await this.#given()), range: scale };
     if (COLOURS[colour].local) return values(colour, this.frames, this.index, given);
     const { index } = this;
-    if (!this.#fields.has(index)) {
+    const name = `${colour} ${index}`;
+    if (!this.#fields.has(name)) {
       const found = await values(colour, this.frames, index, { ...given, signal: this.#asked.signal });
       if (found.byteLength * this.#fields.size > FIELDS_HELD) this.#fields.clear();
-      this.#fields.set(index, found);
+      this.#fields.set(name, found);
     }
-    return this.#fields.get(index);
+    return this.#fields.get(name);
   }
 
   /** What colourings need besides the frame; where the source is unknown, frame 0 stands for it. */
@@ -298,7 +303,8 @@ export class Panel {
       viewer.setWireframe(target === "wireframe" ? this.wireframe : null);
     } catch (error) {
       if (this.signal.aborted) return;
-      this.#say(`The target is not available: ${error.message}`);
+      if (this.index < 0) this.#targetShown = null; // it comes with the first frame
+      else this.#say(`The target is not available: ${error.message}`);
     }
   }
 

@@ -45,7 +45,7 @@ export class Timeline {
         },
       },
     });
-    this.reading = h("output", { class: "reading" });
+    this.reading = h("output", { class: "reading", "aria-live": "off" });
     this.rate = h(
       "select",
       { value: String(USUAL_RATE), "aria-label": "Speed" },

@@ -120,10 +120,10 @@ export class Viewer {
     this.draw();
   }
 
-  /** @param {Float32Array | {positions: Float32Array} | null} points of the target; null for none. */
+  /** @param {{positions: Float32Array} | null} points of the target; null for none. */
   setTarget(points) {
     this.ghost.visible = points !== null;
-    if (points) this.ghost.setPositions(points.positions ?? points);
+    if (points) this.ghost.setPositions(points.positions);
     this.draw();
   }
 
@@ -135,6 +135,7 @@ export class Viewer {
       const material = new LineBasicMaterial({ transparent: true, opacity: 0.5, depthWrite: false });
       return new LineSegments(lines, material);
     });
+    this.setCut(this.cut ?? null);
   }
 
   /** @param {{vertices: Float32Array, faces: Uint32Array} | null} mesh shown instead of particles. */
@@ -371,6 +372,7 @@ export class Viewer {
   #control() {
     this.controls?.dispose();
     this.controls = new OrbitControls(this.camera, this.canvas);
+    this.canvas.style.touchAction = "inherit"; // the style sheet says where a finger scrolls
     this.controls.enableDamping = !this.#reducedMotion;
     this.controls.dampingFactor = 0.18;
     this.controls.addEventListener("change", () => {

@@ -13,16 +13,15 @@ import { Panel } from "../../viewer/panel.js";
 import { Timeline } from "../../viewer/timeline.js";
 import { follow } from "./follow.js";
 import { Links } from "./links.js";
+import { MOST_COMPARED } from "./most.js";
 import { Overlay } from "./overlay.js";
 import { table } from "./table.js";
 
-const MOST = 4;
-const EXTENT = 14; // half edge of the domain's safe part [grid units]
 
 /** Show the jobs that the query names, `?jobs=a,b`. */
 export async function show(root, { jobs: wanted = "" }, signal) {
   title("Compare");
-  const ids = [...new Set(wanted.split(",").filter(Boolean))].slice(0, MOST);
+  const ids = [...new Set(wanted.split(",").filter(Boolean))].slice(0, MOST_COMPARED);
   if (ids.length < 2) {
     fill(
       root,
@@ -35,7 +34,6 @@ export async function show(root, { jobs: wanted = "" }, signal) {
   const rows = ids.map(() => []);
   const links = new Links();
   const display = new Display({
-    extent: EXTENT,
     onChange: (state) => links.panels.forEach((panel) => panel.setDisplay(state)),
   });
   const overlay = new Overlay({ onSeek: (index) => timeline.choose(index), signal });

@@ -20,7 +20,10 @@ export class Overlay {
     const frames = [...new Set(rows.flat().map((row) => row.frame))].sort((a, b) => a - b);
     const names = SHOWN.filter((name) => rows.flat().some((row) => name in row));
     if (names.join() !== [...this.charts.keys()].join()) {
-      this.charts = new Map(names.map((name) => [name, this.#chart(name, jobs)]));
+      this.replaced?.abort();
+      this.replaced = new AbortController();
+      const signal = AbortSignal.any([this.signal, this.replaced.signal]);
+      this.charts = new Map(names.map((name) => [name, this.#chart(name, jobs, signal)]));
       fill(this.element, [...this.charts.values()].map((chart) => chart.element));
     }
     const byFrame = rows.map((one) => new Map(one.map((row) => [row.frame, row])));
@@ -37,14 +40,14 @@ export class Overlay {
     for (const chart of this.charts.values()) chart.setFrame(index);
   }
 
-  #chart(name, jobs) {
+  #chart(name, jobs, signal) {
     return new Chart({
       title: FINAL[name].label,
       unit: FINAL[name].unit,
       labels: jobs.map(jobName),
       key: "compare",
       onSeek: this.onSeek,
-      signal: this.signal,
+      signal,
     });
   }
 }

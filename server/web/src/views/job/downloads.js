@@ -123,11 +123,13 @@ export class Downloads {
       ["grid", "Grid units"],
     ]);
     const explain = h("p", { class: "quiet small" });
-    const state = h("div", { class: "stack", role: "status" });
+    const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
       event.preventDefault();
       const { carries, kind } = chosen();
       const one = kind !== "table" && frames.select.value === "this";
+      const state = h("div", { class: "stack" });
+      made.prepend(state);
       await this.#export(state, {
         format: format.select.value,
         frames: one ? [this.frame()] : null,
@@ -150,7 +152,7 @@ export class Downloads {
         h("button", { class: "primary" }, "Export"),
       ),
       explain,
-      state,
+      made,
     );
     reflect();
   }

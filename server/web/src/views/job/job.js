@@ -4,7 +4,7 @@ import "../../charts/charts.css";
 import "./job.css";
 
 import { announce } from "../../announce.js";
-import { get } from "../../api.js";
+import { Problem, get } from "../../api.js";
 import { Curves } from "../../charts/curves.js";
 import { fill, h } from "../../dom.js";
 import { jobName, lives, state as word } from "../../format.js";
@@ -19,16 +19,16 @@ import { settings } from "./settings.js";
 import { Summary } from "./summary.js";
 import { Watch } from "./watch.js";
 
-const EXTENT = 14; // half edge of the domain's safe part [grid units]
-
 /** Show the job with the id of the address. */
 export async function show(root, { id }, signal) {
   title("Job");
-  const display = new Display({ extent: EXTENT, onChange: (state) => panel.setDisplay(state) });
-  const panel = new Panel(id, { signal, display: display.state });
-  const curves = new Curves({ onSeek: (index) => timeline.choose(index), signal });
+  const ending = new AbortController(); // when the job has gone
+  const there = AbortSignal.any([signal, ending.signal]);
+  const display = new Display({ onChange: (state) => panel.setDisplay(state) });
+  const panel = new Panel(id, { signal: there, display: display.state });
+  const curves = new Curves({ onSeek: (index) => timeline.choose(index), signal: there });
   const timeline = new Timeline({
-    signal,
+    signal: there,
     show: (index) => {
       curves.setFrame(index);
       return panel.show(index);
@@ -49,6 +49,7 @@ export async function show(root, { id }, signal) {
     downloads.update(job);
     history.set({ job });
     panel.total = job.progress.frames;
+    if (job.progress.frame === 0 && panel.frames.known) onAnew();
     grow(job.progress.frame);
   };
   const grow = (count) => {
@@ -78,7 +79,11 @@ export async function show(root, { id }, signal) {
       else gone(error);
     }
   };
-  const gone = (error) => signal.aborted || fill(root, problem(error));
+  const gone = (error) => {
+    if (signal.aborted) return;
+    ending.abort();
+    fill(root, problem(error));
+  };
   const watch = new Watch(id, signal, {
     onJob,
     onRows,
@@ -114,7 +119,12 @@ export async function show(root, { id }, signal) {
     ),
   );
   watch.run().catch(gone);
-  const config = await get(`/jobs/${id}/config`, { signal });
-  panel.setConfig(config);
-  aside.append(settings(job, config, signal));
+  try {
+    const config = await get(`/jobs/${id}/config`, { signal });
+    panel.setConfig(config);
+    aside.append(settings(job, config, signal));
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    aside.append(problem(error));
+  }
 }

@@ -1,4 +1,5 @@
 /** Buttons that take pictures and films of what is shown. */
+import { saveBlob } from "../../api.js";
 import { h } from "../../dom.js";
 import { canRecord } from "../../viewer/recording.js";
 
@@ -27,7 +28,7 @@ export function pictures({ panel, timeline, name, signal }) {
       button.textContent = "Stop recording";
       try {
         const { advance, seconds } = make(viewer);
-        keep(await viewer.record(advance, { seconds, signal: stop }), `${name()}-${suffix}.webm`);
+        saveBlob(await viewer.record(advance, { seconds, signal: stop }), `${name()}-${suffix}.webm`);
       } finally {
         recording = null;
         button.textContent = label;
@@ -63,7 +64,7 @@ export function pictures({ panel, timeline, name, signal }) {
         on: {
           click: async () => {
             const viewer = await panel.viewer;
-            if (viewer) keep(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
+            if (viewer) saveBlob(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
           },
         },
       },
@@ -73,11 +74,4 @@ export function pictures({ panel, timeline, name, signal }) {
     canRecord() && film("Turntable, WebM", "turntable", turntable),
   );
   return element;
-}
-
-/** Let the browser save a file. */
-function keep(blob, name) {
-  const link = h("a", { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

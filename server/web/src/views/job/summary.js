@@ -1,9 +1,10 @@
 /** The head of a job's page: what it is, how far it has come, what may be done with it. */
 import { announce } from "../../announce.js";
 import { get } from "../../api.js";
-import { fill, h } from "../../dom.js";
+import { fill, h, redraw } from "../../dom.js";
 import { count, duration, jobName, lives, number, plural, state as word, when } from "../../format.js";
 import { go, problem } from "../../router.js";
+import { MOST_COMPARED } from "../compare/most.js";
 import { actions } from "../jobs/actions.js";
 
 const GONE = "The service does not answer. The page goes on by itself once it is back.";
@@ -73,12 +74,7 @@ export class Summary {
   }
 
   #part(name, from, make) {
-    const key = JSON.stringify(from);
-    if (this.drawn[name] === key) return;
-    this.drawn[name] = key;
-    const focused = this[name].contains(document.activeElement);
-    fill(this[name], make());
-    if (focused) this[name].querySelector("button, a")?.focus();
+    redraw(this.drawn, name, this[name], from, make);
   }
 
   async #compare(job) {
@@ -87,7 +83,7 @@ export class Summary {
     const boxes = [];
     const most = () => {
       const chosen = boxes.filter((box) => box.checked).length;
-      for (const box of boxes) box.disabled = chosen >= 3 && !box.checked;
+      for (const box of boxes) box.disabled = chosen >= MOST_COMPARED - 1 && !box.checked;
       open.disabled = chosen === 0;
     };
     const open = h("button", { class: "primary", value: "compare", disabled: true }, "Compare");

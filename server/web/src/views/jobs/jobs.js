@@ -77,7 +77,10 @@ class JobList {
       signal: this.signal,
     });
     await this.addPositions(page.items);
-    if (asked === this.asked) this.draw(page); // else another answer is on its way
+    if (asked === this.asked) {
+      this.draw(page);
+      fill(this.trouble);
+    } // else another answer is on its way
     return page.items.some((job) => lives(job.state)) ? QUICK : SLOW;
   }
 
@@ -137,7 +140,7 @@ class JobList {
       }
       return `/${query.size ? `?${query}` : ""}`;
     };
-    const key = `${cursor ?? ""} ${next ?? ""}`;
+    const key = JSON.stringify([cursor && to(null), next && to(next)]);
     if (this.paged === key) return; // a link that has the focus stays
     this.paged = key;
     fill(

@@ -1,7 +1,7 @@
 /** One job of the list. */
 
 import { picture } from "../../api.js";
-import { fill, h, svg } from "../../dom.js";
+import { fill, h, redraw, svg } from "../../dom.js";
 import { ago, duration, jobName, number, plural, state as stateWord } from "../../format.js";
 import { actions } from "./actions.js";
 
@@ -13,7 +13,7 @@ export class Row {
     this.job = job;
     this.selection = selection;
     this.changed = changed;
-    this.pictured = { frame: -1, at: 0, url: null };
+    this.pictured = { frame: -1, at: 0, url: "" };
     this.cells = {
       picture: h("a", { class: "thumbnail", href: `/jobs/${job.id}`, tabindex: "-1", "aria-hidden": "true" }, blank()),
       name: h("td", { role: "cell", class: "name" }),
@@ -56,17 +56,12 @@ export class Row {
 
   /** Let go of the picture. */
   dispose() {
-    if (this.pictured.url) URL.revokeObjectURL(this.pictured.url);
-    this.pictured.url = null;
+    this.disposed = true;
+    URL.revokeObjectURL(this.pictured.url);
   }
 
   draw(cell, from, make) {
-    const key = JSON.stringify(from);
-    if (this.drawn[cell] === key) return;
-    this.drawn[cell] = key;
-    const focused = this.cells[cell].contains(document.activeElement);
-    fill(this.cells[cell], make());
-    if (focused) this.cells[cell].querySelector("button, a")?.focus();
+    redraw(this.drawn, cell, this.cells[cell], from, make);
   }
 
   async drawPicture() {
@@ -78,11 +73,13 @@ export class Row {
     Object.assign(this.pictured, { frame, at: Date.now() });
     try {
       const url = await picture(`/jobs/${this.job.id}/thumbnail`);
-      this.dispose();
+      if (this.disposed) return URL.revokeObjectURL(url);
+      URL.revokeObjectURL(this.pictured.url);
       this.pictured.url = url;
       fill(this.cells.picture, h("img", { src: url, alt: "", width: 96, height: 72 }));
     } catch (error) {
-      if (error.name !== "Problem") throw error; // without a picture the row is still whole
+      if (error.name !== "Problem") throw error;
+      this.pictured.frame = -1; // without a picture the row is still whole, and asks again
     }
   }
 }

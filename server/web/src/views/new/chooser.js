@@ -59,6 +59,7 @@ export class Chooser {
   show(shape, sampling) {
     const kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
     const address = shape.mesh ?? shape.shape;
+    this.kind = kind;
     if (address !== this.address) {
       this.address = address;
       this.choose(kind);
@@ -79,23 +80,56 @@ export class Chooser {
     const bar = h("progress", { max: 1, value: 0, "aria-label": `Upload of ${file.name}` });
     const said = h("p", { class: "small", role: "status" }, `Sending ${file.name}`);
     fill(this.sending, bar, said);
+    this.uploading?.abort();
+    const own = (this.uploading = new AbortController());
+    const signal = AbortSignal.any([this.signal, own.signal]);
     try {
       const onProgress = (share) => {
         bar.value = share;
         if (share === 1) fill(said, `Reading ${file.name}`);
       };
       const query = { name: file.name };
-      const mesh = await upload("/meshes", file, { query, signal: this.signal, onProgress });
+      const mesh = await upload("/meshes", file, { query, signal, onProgress });
       this.known.set(mesh.id, mesh);
       this.listEarlier();
-      this.changed({ mesh: mesh.id });
+      if (!signal.aborted) this.changed({ mesh: mesh.id });
     } catch (error) {
+      if (signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.trouble, problem(error));
     } finally {
-      fill(this.sending);
-      this.picker.value = "";
+      if (this.uploading === own) {
+        this.uploading = null;
+        fill(this.sending);
+        this.picker.value = "";
+      }
     }
+  }
+
+  /** Take another choice than a file that is being sent. */
+  pick(shape) {
+    this.uploading?.abort();
+    this.changed(shape);
+  }
+
+  /** Whether the choice is not finished; then it says so, where it can be finished. */
+  complains() {
+    const [missing, input] = this.missing() ?? [];
+    if (!missing) return false;
+    fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, missing));
+    input.focus();
+    return true;
+  }
+
+  missing() {
+    if (this.uploading) return ["The file is still being sent.", this.picker];
+    if (this.kinds.file.input.checked && this.kind !== "file") {
+      return ["Choose a mesh file, or another kind of shape.", this.picker];
+    }
+    if (this.kinds.text.input.checked && !(this.kind === "text" && this.word.checkValidity())) {
+      return ["Give a word, or choose another kind of shape.", this.word];
+    }
+    return null;
   }
 
   choose(kind) {
@@ -106,6 +140,7 @@ export class Chooser {
   kindButton(kind, text) {
     const change = () => {
       fill(this.trouble);
+      if (kind !== "file") this.uploading?.abort();
       this.choose(kind);
       const chosen = this.panels.shape.querySelector("input:checked");
       if (kind === "shape") this.changed({ shape: chosen?.value ?? this.shapes[0] });
@@ -126,7 +161,7 @@ export class Chooser {
       "aria-label": `Mesh file of the ${this.role}`,
       on: { change: (event) => event.target.files[0] && this.take(event.target.files[0]) },
     });
-    const change = (event) => event.target.value && this.changed({ mesh: event.target.value });
+    const change = (event) => event.target.value && this.pick({ mesh: event.target.value });
     this.earlier = h("select", { id: `${this.role}-earlier`, on: { change } });
     this.earlierField = h(
       "div",
@@ -173,7 +208,7 @@ export class Chooser {
 
   shapePanel(shapes) {
     this.shapes = shapes.map(({ name }) => name);
-    const change = (event) => this.changed({ shape: event.target.value });
+    const change = (event) => this.pick({ shape: event.target.value });
     return h(
       "fieldset",
       null,

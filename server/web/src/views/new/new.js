@@ -94,6 +94,17 @@ class Form {
 
   /** Take a change into the draft, keep it in the address, and show it. */
   async changed(change) {
+    try {
+      await this.take(change);
+      fill(this.trouble);
+    } catch (error) {
+      if (this.signal.aborted) return;
+      if (error.name !== "Problem") throw error;
+      fill(this.trouble, problem(error));
+    }
+  }
+
+  async take(change) {
     this.draft = { ...this.draft, ...change };
     this.key = freshKey();
     keep(toQuery(this.draft));
@@ -171,6 +182,7 @@ class Form {
 
   async send(event) {
     event.preventDefault();
+    if (this.source.complains() || this.target.complains()) return;
     const { wrong } = this.settings;
     if (wrong) {
       if (this.settings.element.contains(wrong.element)) this.settings.element.open = true;

@@ -46,7 +46,7 @@ export class Preview {
       fill(this.count, plural(count, "particle"));
       const warnings = JSON.parse(headers.get("Morph-Warnings") ?? "[]");
       fill(this.warnings, warnings.map((text) => h("p", { class: "notice warn" }, text)));
-      await this.draw(positions);
+      await this.draw(positions).catch((error) => this.undrawable(error));
     } catch (error) {
       if (signal.aborted || this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
@@ -55,6 +55,12 @@ export class Preview {
     } finally {
       this.scene.removeAttribute("aria-busy");
     }
+  }
+
+  undrawable(error) {
+    if (this.signal.aborted) return;
+    console.warn("no 3D view", error);
+    this.warnings.append(h("p", { class: "quiet small" }, "This browser does not show 3D graphics."));
   }
 
   async draw(positions) {

@@ -1,0 +1,2 @@
+/** How many jobs fit side by side. */
+export const MOST_COMPARED = 4;
