@@ -228,6 +228,7 @@ PLANS: dict[str, tuple[Plan, ...]] = {
     "ablation": (
         Plan("numbers", f"{_AGAINST} Bars: one standard deviation over seeds.", _dots()),
     ),
+    "chance": (),
     "overlap": (
         Plan(
             "sections",
