@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +76,8 @@ def _drawn(plan: Plan, table: Table, store: Store, folder: Path) -> Picture:
     try:
         figure = plan.draw(table, store)
     except ResultError as error:
-        return Picture(name, plan.caption, problem=f"This figure is missing: {error}")
+        why = str(error).replace(f"{store.folder}{os.sep}", "")
+        return Picture(name, plan.caption, problem=f"This figure is missing: {why}")
     return Picture(name, plan.caption, png=save(figure, folder / name))
 
 
