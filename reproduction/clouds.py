@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 PANEL_PIXELS = 360
 MARGIN_PIXELS = 8
+TITLE_CHARACTERS = 22
 PANEL_HALF_EXTENT = 13.5
 """What a panel shows, from its centre to its edge [dx]."""
 
@@ -212,7 +214,7 @@ def densities(
                 linewidths=0.15,
                 rasterized=True,
             )
-            axes.set(aspect="equal", title=cloud.title)
+            axes.set(aspect="equal", title=_wrapped(cloud.title))
         bar = figure.colorbar(
             ScalarMappable(norm, "PuOr_r"),
             ax=panels,
@@ -230,3 +232,8 @@ def _bare(axes: Axes) -> None:
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def _wrapped(title: str) -> str:
+    """A title in lines no wider than a panel."""
+    return "\n".join(textwrap.fill(line, TITLE_CHARACTERS) for line in title.splitlines())
