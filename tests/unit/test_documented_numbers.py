@@ -30,9 +30,13 @@ def rows():
 
 
 def sentences():
-    """The numbers of the report outside its tables: what was found over many rows."""
-    text = (DOCS / "results" / "report.md").read_text(encoding="utf-8")
-    return numbers("\n".join(line for line in text.splitlines() if line[:1] != "|"))
+    """The numbers of the reports outside their tables: what was found over many rows."""
+    lines = [
+        line
+        for path in DOCS.glob("results/*.md")
+        for line in path.read_text(encoding="utf-8").splitlines()
+    ]
+    return numbers("\n".join(line for line in lines if line[:1] != "|"))
 
 
 def numbers(text):
