@@ -100,7 +100,9 @@ def _few_colours(png: io.BytesIO) -> bytes:
     """A picture in 256 colours, which takes a third of the space."""
     smaller = io.BytesIO()
     picture = Image.open(png).convert("RGB")
-    picture.quantize(256, dither=Image.Dither.NONE).save(smaller, "png", optimize=True)
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        smaller, "png", optimize=True
+    )
     return smaller.getvalue()
 
 

@@ -23,7 +23,7 @@ def rows():
     for path in DOCS.glob("results/tables/*.csv"):
         with path.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
-                found[path.stem, row["row"]] += [
+                found[path.stem, row.get("row")] += [
                     abs(float(row[name])) for name in COLUMNS if row.get(name)
                 ]
     return list(found.values())
