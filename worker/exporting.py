@@ -211,12 +211,11 @@ def _keep(result: Path, folder: Path, order: Order) -> None:
 
 def _clear(folder: Path) -> None:
     """Remove what exports have left behind that were killed; nobody else is at work here."""
-    whole = {
-        KeptExport.model_validate_json(text.read_text("utf-8")).file: text.name
-        for text in folder.glob("*.json")
-    }
+    documents = list(folder.glob("*.json"))
+    files = [KeptExport.model_validate_json(text.read_text("utf-8")).file for text in documents]
+    kept = {"lock", *files, *(text.name for text in documents)}
     for entry in folder.iterdir():
-        if entry.name == "lock" or entry.name in whole or entry.name in whole.values():
+        if entry.name in kept:
             continue
         if entry.is_dir():
             shutil.rmtree(entry, ignore_errors=True)
