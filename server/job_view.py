@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
 
 from morph_engine.run_record import RunRecord
@@ -12,8 +13,8 @@ from server.schemas import Job, Progress
 from server.service import Service
 from worker.frames import Frame, read_frame, read_record
 from worker.job import JobState
-from worker.progress import read_progress
-from worker.queue import JobRecord
+from worker.progress import JobProgress, read_progress
+from worker.queue import RECORDS_KEPT, JobRecord
 from worker.state import Action, allowed
 
 ID_LENGTH = 26
@@ -127,10 +128,17 @@ def show(record: JobRecord, service: Service, *, alone: bool = True) -> Job:
         service: Where to look for its progress.
         alone: Whether to count the jobs before it too, which takes a query.
     """
-    config = record.spec.config
     position = None
     if alone and record.state is JobState.QUEUED:
         position = service.queue.position(record.id)
+    seen = read_progress(service.storage, record.id, record.spec)
+    return _shown(record, seen, position, service.settings.workers)
+
+
+@lru_cache(maxsize=RECORDS_KEPT)
+def _shown(record: JobRecord, seen: JobProgress, position: int | None, slots: int) -> Job:
+    """A job as it stands, made once for all who ask before it changes."""
+    config = record.spec.config
     return Job(
         id=record.id,
         name=record.name,
@@ -149,31 +157,31 @@ def show(record: JobRecord, service: Service, *, alone: bool = True) -> Job:
         created_at=record.created_at,
         started_at=record.started_at,
         finished_at=record.finished_at,
-        progress=progress(record, service, position),
+        progress=Progress(
+            frame=seen.frame,
+            frames=seen.frames,
+            attempt=seen.attempt,
+            metrics=seen.metrics,
+            seconds_left=_seconds_left(record, seen, position, slots),
+        ),
         queue_position=position,
         outcome=record.outcome,
         problem=record.problem,
     )
 
 
-def progress(record: JobRecord, service: Service, position: int | None = None) -> Progress:
-    """How far a job has come.
+def _seconds_left(
+    record: JobRecord, seen: JobProgress, position: int | None, slots: int
+) -> float | None:
+    """Estimate of the time left [s].
 
-    While it waits, the time left is its own estimate and as much for each job before it, shared
-    out over the slots of this machine.
+    While a job waits, this is its own estimate and as much for each job before it, shared out over
+    the slots of this machine.
     """
-    seen = read_progress(service.storage, record.id, record.spec)
-    left = None if record.state.finished else seen.seconds_left
+    if record.state.finished:
+        return None
     estimated = float(record.attributes.get("estimate", 0))
+    left = estimated if seen.seconds_left is None else seen.seconds_left
     if record.state is JobState.QUEUED:
-        left = left if left is not None else estimated
-        left += estimated * (position or 0) / max(service.settings.workers, 1)
-    elif record.state is JobState.RUNNING and left is None:
-        left = estimated
-    return Progress(
-        frame=seen.frame,
-        frames=seen.frames,
-        attempt=seen.attempt,
-        metrics=seen.metrics,
-        seconds_left=left,
-    )
+        left += estimated * (position or 0) / max(slots, 1)
+    return left

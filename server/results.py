@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,11 +17,15 @@ from server import job_view, points
 from server.access import Reader
 from server.answers import tagged, unchanged
 from server.schemas import FrameFormat
-from server.service import Service, Services
+from server.service import Services
+from worker.event_log import EventLog
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
 HDF5 = "application/vnd.hdfgroup.hdf5"
+
+TABLES_KEPT = 64
+"""Tables of metrics kept in memory, some 50 kB each."""
 
 
 @router.get(
@@ -100,15 +105,9 @@ def get_metrics(
 ) -> Any:
     """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
     job_view.find(job_id, caller, service)
-    rows = _metrics(job_id, service)
-    if format == "json":
-        return rows
-    names = list(dict.fromkeys(name for row in rows for name in row)) or ["frame"]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, restval="")
-    writer.writeheader()
-    writer.writerows(rows)
-    return Response(text.getvalue(), media_type="text/csv; charset=utf-8")
+    log = service.storage.events(job_id)
+    media_type = "application/json" if format == "json" else "text/csv; charset=utf-8"
+    return Response(_metrics(log, log.version(), format), media_type=media_type)
 
 
 @router.get("/config", operation_id="getConfig", summary="The resolved configuration")
@@ -133,10 +132,11 @@ def get_log(job_id: str, caller: Reader, service: Services) -> Response:
     return FileResponse(path, media_type="text/plain; charset=utf-8")
 
 
-def _metrics(job_id: str, service: Service) -> list[dict[str, float]]:
-    """Metrics by frame; a frame computed again counts once."""
+@lru_cache(maxsize=TABLES_KEPT)
+def _metrics(log: EventLog, version: tuple[int, int], format: Literal["json", "csv"]) -> bytes:
+    """The table at the end of one version of a log; a frame computed again counts once."""
     rows: dict[int, dict[str, float]] = {}
-    for event in service.storage.events(job_id).read(limit=1 << 30):
+    for event in log.read(limit=1 << 30):
         if event.type == "frame":
             index = int(event.data["frame"])
             rows[index] = {
@@ -144,7 +144,15 @@ def _metrics(job_id: str, service: Service) -> list[dict[str, float]]:
                 **event.data["metrics"],
                 "seconds": event.data["seconds"],
             }
-    return [rows[index] for index in sorted(rows)]
+    table = [rows[index] for index in sorted(rows)]
+    if format == "json":
+        return json.dumps(table, separators=(",", ":")).encode()
+    names = list(dict.fromkeys(name for row in table for name in row)) or ["frame"]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, restval="")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue().encode()
 
 
 @lru_cache(maxsize=1000)

@@ -22,6 +22,7 @@ from server.submission import body_digest, key_reused, prepare, repeated_id, sub
 from server.sweep_store import SweepRow as StoredSweep
 from server.tables import as_time
 from worker.job import JobState
+from worker.progress import read_progress
 from worker.queue import JobRecord, new_job_id
 
 router = APIRouter(prefix="/sweeps", tags=["sweeps"])
@@ -155,7 +156,7 @@ def _row(record: JobRecord, service: Service) -> SweepRow:
     if record.outcome is not None:
         metrics = record.outcome.metrics
     else:
-        metrics = job_view.progress(record, service).metrics
+        metrics = read_progress(service.storage, record.id, record.spec).metrics
     return SweepRow(
         job=record.id,
         source=str(record.attributes.get("source_name", "")),

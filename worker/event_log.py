@@ -40,12 +40,13 @@ class EventLog:
 
     path: Path
 
-    def size(self) -> int:
-        """Size of the file [bytes]; it grows with every event."""
+    def version(self) -> tuple[int, int]:
+        """What changes with every event: when the file was written [ns], and its size [bytes]."""
         try:
-            return self.path.stat().st_size
+            seen = os.stat(self.path)
         except FileNotFoundError:
-            return 0
+            return 0, 0
+        return seen.st_mtime_ns, seen.st_size
 
     def append(self, type: str, data: dict[str, Any]) -> None:
         """Add an event, in one write, so that a kill leaves whole lines and at most one torn end.

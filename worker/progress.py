@@ -10,9 +10,9 @@ from worker.job import JobSpec
 from worker.storage import Storage
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JobProgress:
-    """How far a job has come.
+    """How far a job has come; the same object as long as its log stays as it is.
 
     Attributes:
         frame: Finished frames.
@@ -32,12 +32,12 @@ class JobProgress:
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
     """The progress of a job."""
     log = storage.events(job_id)
-    return _progress(log, log.size(), int(spec.config["frames"]))
+    return _progress(log, log.version(), int(spec.config["frames"]))
 
 
 @lru_cache(4096)
-def _progress(log: EventLog, size: int, total: int) -> JobProgress:
-    """The progress at the end of a log of a size, read once."""
+def _progress(log: EventLog, version: tuple[int, int], total: int) -> JobProgress:
+    """The progress at the end of one version of a log, read once."""
     events = log.tail()
     frames = [event for event in events if event.type == "frame"]
     attempts = [event.data["attempt"] for event in events if "attempt" in event.data]

@@ -50,9 +50,9 @@ NOBODY = "-"
 _DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JobRecord:
-    """A job as the queue knows it.
+    """A job as the queue knows it; the same object as long as its row stays as it is.
 
     Attributes:
         id: Its id.
