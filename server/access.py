@@ -6,6 +6,7 @@ import hmac
 import ipaddress
 import time
 from collections.abc import Awaitable, Callable
+from functools import lru_cache
 from typing import Annotated
 
 import anyio
@@ -30,6 +31,7 @@ BEARER = HTTPBearer(
 )
 
 
+@lru_cache(maxsize=256)
 def is_loopback(host: str) -> bool:
     """Whether an address, or the name in a Host header, stays on this machine."""
     name = host.strip("[]").lower()

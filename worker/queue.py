@@ -17,6 +17,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import cached_property
 from typing import Any
 
 import sqlalchemy as sa
@@ -170,8 +171,7 @@ class JobQueue:
 
     def get(self, job_id: str) -> JobRecord | None:
         """A job, or None where there is none of that id."""
-        query = self._versions().where(self._table.c.workflow_uuid == job_id)
-        return next(iter(self._records(query)), None)
+        return next(iter(self._records(self._version, {"job": job_id})), None)
 
     def newest(
         self,
@@ -195,7 +195,7 @@ class JobQueue:
         """
         t = self._table
         created = sa.cast(t.c.created_at, sa.BigInteger)  # SQLite may store fractions
-        query = self._versions()
+        query = self._versions
         if owner is not None:
             query = query.where(t.c.authenticated_user == (owner or NOBODY))
         if sweep is not None:
@@ -338,17 +338,25 @@ class JobQueue:
                         .values(priority=better)
                     )
 
+    @cached_property
+    def _version(self) -> sa.Select[Any]:
+        """The query for one job, `job`."""
+        return self._versions.where(self._table.c.workflow_uuid == sa.bindparam("job"))
+
+    @cached_property
     def _versions(self) -> sa.Select[Any]:
         """A query for jobs: their ids, and what changes with every change of their row."""
         t = self._table
         columns = (t.c.workflow_uuid, t.c.status, t.c.executor_id, t.c.updated_at)
         return sa.select(*columns).where(t.c.name == WORKFLOW)
 
-    def _records(self, query: sa.Select[Any]) -> list[JobRecord]:
+    def _records(
+        self, query: sa.Select[Any], values: Mapping[str, Any] | None = None
+    ) -> list[JobRecord]:
         """The jobs of a query for versions; those that have not changed are not read again."""
         if len(self._read) > RECORDS_KEPT:
             self._read = {}
-        read, rows = self._read, self._rows(query)
+        read, rows = self._read, self._rows(query, values)
         changed = [i for i, *version in rows if i not in read or read[i][0] != version]
         if changed:
             for status in self._client.list_workflows(workflow_ids=changed, name=WORKFLOW):
@@ -366,19 +374,19 @@ class JobQueue:
         t = self._table
         return sa.func.coalesce(t.c.completed_at >= t.c.workflow_deadline_epoch_ms, sa.false())
 
-    def _rows(self, query: Any) -> Sequence[Any]:
+    def _rows(self, query: Any, values: Mapping[str, Any] | None = None) -> Sequence[Any]:
         """The rows of a query; asked again if its connection turns out to have died in the pool."""
         try:
-            return self._rows_now(query)
+            return self._rows_now(query, values)
         except sa.exc.DBAPIError as error:
             if not error.connection_invalidated:
                 raise
-            return self._rows_now(query)
+            return self._rows_now(query, values)
 
-    def _rows_now(self, query: Any) -> Sequence[Any]:
+    def _rows_now(self, query: Any, values: Mapping[str, Any] | None) -> Sequence[Any]:
         schema = self._client._sys_db.engine.get_execution_options()
         with self._reader.connect() as connection:
-            return connection.execute(query, execution_options=schema).all()
+            return connection.execute(query, values, execution_options=schema).all()
 
 
 def migrate(settings: Settings) -> None:

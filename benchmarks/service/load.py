@@ -1,14 +1,15 @@
 """What 50 watchers and 100 requests a second do to the API, and to two jobs that run beside them.
 
 Load and rest alternate, and a second round has them the other way round, so that each frame of the
-same two jobs is computed with load and without. Frames are compared one by one, and the median of
-their ratios counts. A frame belongs to a side if it lay in it from end to end.
+same jobs is computed with load and without. Frames are compared one by one, and the median of their
+ratios counts. A frame belongs to a side if it lay in it from end to end.
 
 API, load and both engines share the cores of one machine here, and where these are two, the engines
-alone fill them. The main figure is therefore the CPU time that the engine needs for a frame; the
-wall time beside it mostly tells how few cores there are. Latency counts from the moment a request
-was due, so a load process that gets no core makes it look worse, never better; how late it sent is
-told beside it. 50 other jobs are listed beside the two, which makes a full page.
+alone fill them. The main figure is therefore the CPU time that an engine needs for a frame; the
+wall time beside it mostly tells how few cores there are. What the wall time is where a core is left
+is measured too, with one job fewer. Latency counts from the moment a request was due, so a load
+process that gets no core makes it look worse, never better; how late it sent is told beside it. 50
+other jobs are listed beside the two, which makes a full page.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from worker.storage import Storage
 
 ENGINES = 2
 OTHERS = 50
-FRAMES = 60
+FRAMES = 100
 PHASE_SECONDS = 6.0
 PHASES = 50
 ROUNDS = 2
@@ -135,11 +136,13 @@ class Seen:
 
 def measure(place: Place) -> list[Figure]:
     """Run both rounds and compare."""
-    seen = Seen()
+    seen, spared = Seen(), Seen()
     fill_list(place)
     with place.served(ENGINES) as (api, supervisor):
         for turn in range(ROUNDS):
-            one_round(place, api, supervisor, turn, seen)
+            one_round(place, api, supervisor, ENGINES, turn, seen)
+        for turn in range(ROUNDS):
+            one_round(place, api, supervisor, ENGINES - 1, turn, spared)
     latencies = [1000 * latency for burst in seen.bursts for latency in burst.latencies]
     delays = [1000 * delay for burst in seen.bursts for delay in burst.delays]
     errors = [error for burst in seen.bursts for error in burst.errors]
@@ -158,6 +161,8 @@ def measure(place: Place) -> list[Figure]:
         counted("errors", len(errors), 0, "; ".join(errors[:3])),
         slowed("engine slowed, CPU time", seen, lambda cost: cost.cpu, 10),
         slowed("engine slowed, wall time", seen, lambda cost: cost.wall, None),
+        slowed("one job, CPU time", spared, lambda cost: cost.cpu, 10),
+        slowed("one job, wall time", spared, lambda cost: cost.wall, 10),
         *(
             Figure(f"CPU time of {process}", 100 * median(shares), None, "% of a core")
             for process, shares in seen.shares.items()
@@ -178,17 +183,22 @@ def fill_list(place: Place) -> None:
 
 
 def one_round(
-    place: Place, api: httpx.Client, supervisor: psutil.Process, turn: int, seen: Seen
+    place: Place,
+    api: httpx.Client,
+    supervisor: psutil.Process,
+    count: int,
+    turn: int,
+    seen: Seen,
 ) -> None:
-    """Follow two jobs while load comes and goes; adds what was seen."""
-    jobs = [submit(api, body(FRAMES, points_per_cell_edge=2)) for _ in range(ENGINES)]
+    """Follow some jobs while load comes and goes; adds what was seen."""
+    jobs = [submit(api, body(FRAMES, points_per_cell_edge=2)) for _ in range(count)]
     for job in jobs:
         wait_until(partial(begun, api, job))
     storage = Storage(place.data_dir)
     engines = [Engine(storage.events(job), process_of(supervisor, job)) for job in jobs]
     schedule = Schedule(time.time() + 2, turn)
     asked = {"url": str(api.base_url), "jobs": jobs, "bursts": schedule.bursts()}
-    with (place.data_dir / f"load-{turn}.jsonl").open("w+") as output:
+    with (place.data_dir / "load.jsonl").open("w+") as output:
         load = psutil.Popen(
             [sys.executable, "-m", "benchmarks.service.requests_and_watchers"],
             stdin=subprocess.PIPE,
