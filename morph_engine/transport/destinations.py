@@ -36,6 +36,8 @@ def even_destinations(target: Points, count: int, spacing: float, seed: int = 0)
     rng = np.random.default_rng(seed)
     if count < len(target):
         return _shared(target, count, spacing, rng)
+    if count == len(target):
+        return target.copy()
     points, is_inside = target, _is_inside(target, spacing)
     while count > 2 * len(points):
         points, spacing = _doubled(points, np.arange(len(points)), spacing), spacing / 2

@@ -4,6 +4,9 @@ import { askForKey, key } from "./key.js";
 
 const ROOT = "/v1";
 
+/** What is larger is saved by the browser itself [bytes]. */
+const LARGEST_BLOB = 64e6;
+
 /** An answer other than the one asked for; its message is a sentence to show. */
 export class Problem extends Error {
   constructor({ status = 0, title = "", detail = "", remedy = "", errors = [] }) {
@@ -75,10 +78,12 @@ export async function field(jobId, frame, name, { low, high, signal } = {}) {
 
 /** Let the browser save what is at an address. */
 export async function save(path, name, { query, signal } = {}) {
-  if (key()) return saveBlob(await (await request("GET", path, { query, signal })).blob(), name);
-  // a link does not tell of a refusal: see how the answer begins, and leave it
   const looking = new AbortController();
-  await request("GET", path, { query, signal: AbortSignal.any([looking.signal, signal].filter(Boolean)) });
+  const either = AbortSignal.any([looking.signal, signal].filter(Boolean));
+  const response = await request("GET", path, { query, signal: either });
+  const size = Number(response.headers.get("Content-Length") ?? Infinity);
+  if (key() || size <= LARGEST_BLOB) return saveBlob(await response.blob(), name);
+  // a link sends no key and tells of no refusal, but keeps what is large out of the page's memory
   looking.abort();
   saveFrom(url(path, query), name);
 }
