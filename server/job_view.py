@@ -13,6 +13,7 @@ from server.schemas import Job, Progress
 from server.service import Service
 from worker.frames import Frame, read_frame, read_record
 from worker.job import JobState
+from worker.keeping import keep_result
 from worker.progress import JobProgress, read_progress
 from worker.queue import RECORDS_KEPT, JobRecord
 from worker.state import Action, allowed
@@ -71,17 +72,22 @@ def find_inputs(record: JobRecord, service: Service) -> RunRecord:
 
 
 def find_result(record: JobRecord, service: Service) -> Path:
-    """The result file of a finished job.
+    """The result file of a finished job, with all its frames; blocks.
 
     Raises:
         ProblemError: 409, there is none.
+        MorphError: Its engine was killed, and its frames cannot be made a result.
     """
+    if record.state.finished:
+        keep_result(service.storage, record.id, service.settings)
     path = service.storage.result_path(record.id)
     if not record.state.finished or not path.is_file():
         raise ProblemError(
             409,
             f"The job is {record.state.value.replace('_', ' ')} and has no result.",
-            "Wait for it to finish; single frames can be fetched while it runs.",
+            "Resume or retry it; it has finished no frame."
+            if record.state.finished
+            else "Wait for it to finish; single frames can be fetched while it runs.",
             headers={} if record.state.finished else {"Retry-After": "5"},
         )
     return path

@@ -9,6 +9,7 @@ first.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -25,15 +26,15 @@ from morph_engine.errors import MorphError, ResultError
 from morph_engine.morphing import Frame, prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool, spool_path
-from morph_engine.trajectory import Trajectory, write_result
+from morph_engine.spool import Spool
+from morph_engine.trajectory import Trajectory
 from worker.heartbeat import STOP
 from worker.job import JobSpec, Outcome, Problem, problem_of
+from worker.keeping import LOCK_SECONDS, keep_frames
 from worker.priority import yield_to_others
 from worker.storage import Storage
 
 SILENCE_SECONDS = 6.0
-LOCK_SECONDS = 30.0
 ORPHANED, STOPPED = 75, 76
 
 
@@ -148,21 +149,11 @@ def _watch_worker(out: Path) -> None:
         ready, _, _ = select.select([0], [], [], SILENCE_SECONDS)
         received = os.read(0, 64) if ready else b""
         if STOP in received:
-            _keep_frames(out)
+            with contextlib.suppress(MorphError, OSError):  # the frames stay where they are
+                keep_frames(out)
             os._exit(STOPPED)
         if not received:
             os._exit(ORPHANED)
-
-
-def _keep_frames(out: Path) -> None:
-    """Make a result file of the frames that are finished, if there are any."""
-    try:
-        if spool_path(out).exists():
-            with Spool.open(out, writable=False) as spool:
-                if spool.frame_count:
-                    write_result(spool, status="partial")
-    except (MorphError, OSError):
-        pass  # the frames stay where they are
 
 
 def _say(type: str, data: dict[str, Any]) -> None:

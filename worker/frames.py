@@ -39,9 +39,10 @@ def read_frame(result: Path, index: int, finished: bool) -> Frame | None:
     Args:
         result: The result file, whether it is there or not.
         index: Index of the frame; negative counts from the end.
-        finished: Whether the job is; then the result file is newer than its run directory.
+        finished: Whether the job is; then the result file counts, unless it lacks frames.
     """
-    sources = (_from_result, _from_run) if finished else (_from_run, _from_result)
+    use_result = finished and not has_unkept_frames(result)
+    sources = (_from_result, _from_run) if use_result else (_from_run, _from_result)
     for source in (*sources, sources[0]):  # a job may finish between the first two
         frame = source(result, index)
         if frame is not None:
@@ -63,10 +64,16 @@ def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
 
 def count_frames(result: Path, finished: bool) -> int:
     """Number of frames that `read_frame` finds."""
-    counts = (
-        (_count_of_result, finished_frames) if finished else (finished_frames, _count_of_result)
-    )
-    return next((count for count in (source(result) for source in counts) if count), 0)
+    in_run = finished_frames(result)
+    if finished:
+        return max(in_run, _count_of_result(result))
+    return in_run or _count_of_result(result)
+
+
+def has_unkept_frames(result: Path) -> bool:
+    """Whether the run directory has frames that the result lacks: its engine was killed."""
+    in_run = finished_frames(result)
+    return in_run > 0 and in_run > _count_of_result(result)
 
 
 def read_record(result: Path) -> RunRecord | None:

@@ -1,0 +1,81 @@
+"""A result file of all the frames that a job has finished, also where its engine was killed.
+
+An engine that ends by itself writes one. One that was killed leaves its frames in the run
+directory, and at most an older result beside them; then it is written when somebody asks for it,
+by a child: `python -m worker.keeping JOB_DIR`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from morph_engine.durable import wait_for
+from morph_engine.errors import MorphError, ResultError
+from morph_engine.spool import Spool, spool_path
+from morph_engine.trajectory import write_result
+from worker import limited
+from worker.frames import has_unkept_frames
+from worker.settings import Settings
+from worker.storage import Storage
+
+LOCK_SECONDS = 30.0
+
+
+def keep_frames(result: Path) -> None:
+    """Make a result file of the frames that are finished, if there are any.
+
+    Raises:
+        ResultError: A frame is damaged, or the disk refuses.
+    """
+    if spool_path(result).exists():
+        with Spool.open(result, writable=False) as spool:
+            if spool.frame_count:
+                write_result(spool, status="partial")
+
+
+def keep_result(storage: Storage, job_id: str, settings: Settings) -> None:
+    """See to it that the result of a job that rests has all its frames; blocks.
+
+    Raises:
+        MorphError: It cannot be written, or takes too much memory or time.
+    """
+    if not has_unkept_frames(storage.result_path(job_id)):
+        return
+    limits = limited.Limits(
+        settings.export_memory_bytes,
+        settings.export_cpu_seconds,
+        file_bytes=settings.export_memory_bytes,
+    )
+    with limited.explaining("The result", "write", limits, "Fetch single frames."):
+        try:
+            said = limited.run("worker.keeping", [str(storage.job_dir(job_id))], limits)
+        except limited.Broken as how:
+            raise ResultError(f"The result has broken off ({how}).", "Try it again.") from None
+    if said:
+        raise ResultError(**json.loads(said))
+
+
+def _main() -> None:
+    limited.enter()
+    job_dir = Path(sys.argv[1])
+    result = Storage(job_dir.parent.parent).result_path(job_dir.name)
+    try:
+        with wait_for(job_dir / "lock", LOCK_SECONDS):  # an engine may be ending
+            if has_unkept_frames(result):
+                keep_frames(result)
+    except MemoryError:
+        sys.exit(limited.OUT_OF_MEMORY)
+    except TimeoutError:
+        cause = "The engine of the job has not ended yet."
+        sys.stdout.write(json.dumps({"cause": cause, "remedy": "Ask again soon."}))
+    except OSError as error:  # the job has been deleted
+        cause = f"The result cannot be written ({error.strerror})."
+        sys.stdout.write(json.dumps({"cause": cause, "remedy": "See that the job is there."}))
+    except MorphError as error:
+        sys.stdout.write(json.dumps({"cause": error.cause, "remedy": error.remedy}))
+
+
+if __name__ == "__main__":
+    _main()
