@@ -10,6 +10,7 @@ from client.partial_file import PartialFile
 from client.retry import Attempts
 from client.service_error import strange_answer
 from client.transport import Call, Reply, Transport
+from morph_engine.errors import ResultError
 
 _NO_SUCH_RANGE = 416
 
@@ -19,9 +20,18 @@ async def download(transport: Transport, path: str, target: Path) -> None:
 
     Raises:
         ServiceError: The service refuses or stays away; what has arrived is kept for next time.
-        ResultError: What arrived is damaged; it is not kept.
-        OSError: The disk refuses.
+        ResultError: What arrived is damaged, and is not kept; or the disk refuses.
     """
+    try:
+        await _download(transport, path, target)
+    except OSError as error:
+        raise ResultError(
+            f"{target} cannot be written ({error.strerror or error}).",
+            "See that its folder is there, has room and may be written to. What arrived is kept.",
+        ) from error
+
+
+async def _download(transport: Transport, path: str, target: Path) -> None:
     attempts = Attempts(transport.server)
     while True:
         part = PartialFile.find(target)

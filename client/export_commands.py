@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ import typer
 
 from client.connection import KeyOption, ServerOption, connect
 from client.errors import print_json
+from client.interrupt import at_interrupt, say
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -150,10 +152,16 @@ def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
     if path.exists() or not JOB_ID.fullmatch(result):
         yield path
         return
-    with tempfile.TemporaryDirectory() as folder, connect(server, key) as client:
-        fetched = Path(folder) / f"{result}.vtkhdf"
-        client.download(result, fetched)
-        yield fetched
+    with tempfile.TemporaryDirectory() as folder:
+
+        def tidy_up() -> None:
+            shutil.rmtree(folder, ignore_errors=True)
+            say("Stopped by Ctrl-C.", "Run the command again.")
+
+        with at_interrupt(tidy_up), connect(server, key) as client:
+            fetched = Path(folder) / f"{result}.vtkhdf"
+            client.download(result, fetched)
+            yield fetched
 
 
 @contextmanager

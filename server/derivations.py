@@ -9,6 +9,7 @@ from pathlib import Path
 import anyio
 from starlette.requests import Request
 
+from server.askers import Askers
 from server.children import Children, Meet
 
 
@@ -22,7 +23,7 @@ class Derivations:
     def __init__(self, limit: int) -> None:
         self._children = Children(limit)
         self._tasks: dict[Path, asyncio.Task[None]] = {}
-        self._askers: dict[Path, list[Request]] = {}
+        self._askers: Askers[Path] = Askers()
 
     async def make(self, path: Path, compute: Callable[[Meet], None], request: Request) -> None:
         """Have a file computed unless it is there.
@@ -42,7 +43,7 @@ class Derivations:
             return
         if path not in self._tasks:
             self._tasks[path] = asyncio.create_task(self._make(path, compute))
-        self._askers.setdefault(path, []).append(request)
+        self._askers.add(path, request)
         await asyncio.shield(self._tasks[path])
 
     def end(self, folder: Path) -> None:
@@ -55,14 +56,7 @@ class Derivations:
 
     async def _make(self, path: Path, compute: Callable[[Meet], None]) -> None:
         try:
-            await self._children.run(path, compute, lambda: self._is_wanted(path))
+            await self._children.run(path, compute, lambda: self._askers.wait_for(path))
         finally:
             del self._tasks[path]
-            self._askers.pop(path, None)
-
-    async def _is_wanted(self, path: Path) -> bool:
-        for request in self._askers.get(path, ()):
-            # the first look may only find the end of the request itself
-            if not (await request.is_disconnected() or await request.is_disconnected()):
-                return True
-        return False
+            self._askers.forget(path)

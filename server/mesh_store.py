@@ -65,6 +65,12 @@ class MeshStore:
         order = (MESHES.c.created_at.desc(), MESHES.c.sha256.desc())
         return self._rows(query.order_by(*order).limit(limit))
 
+    def is_sole_owner(self, owner: str, sha256: str) -> bool:
+        """Whether nobody else has uploaded the file."""
+        query = sa.select(MESHES.c.owner).where(MESHES.c.sha256 == sha256)
+        with self._engine.connect() as connection:
+            return set(connection.execute(query).scalars()) <= {owner}
+
     def remove(self, owner: str | None, sha256: str) -> bool:
         """Forget an upload; True if nobody has the file any more."""
         query = MESHES.delete().where(MESHES.c.sha256 == sha256)

@@ -138,8 +138,12 @@ def get_mesh_file(mesh_id: str, request: Request, caller: Reader, service: Servi
     "/{mesh_id}", status_code=204, operation_id="deleteMesh", summary="Delete an unused mesh"
 )
 def delete_mesh(mesh_id: str, caller: Submitter, service: Services) -> None:
-    """Forget a mesh. Refused while a job that is not finished uses it."""
+    """Forget your upload of a mesh; with an admin key and none of your own, everybody's.
+
+    Refused while a job that is not finished uses it.
+    """
     find(mesh_id, caller, service)
+    own = service.meshes.get(caller.name, mesh_id) is not None
     users = _unfinished_users(mesh_id, service)
     mine = [job_id for job_id, owner in users if caller.sees(owner)]
     if mine:
@@ -148,7 +152,11 @@ def delete_mesh(mesh_id: str, caller: Submitter, service: Services) -> None:
             f"{len(mine)} unfinished job(s) use this mesh, such as {mine[0]}.",
             "Wait for them, or cancel them.",
         )
-    if service.meshes.remove(caller.reach, mesh_id) and not users:
+    if users and service.meshes.is_sole_owner(caller.name, mesh_id):
+        raise ProblemError(
+            409, "An unfinished job of another key uses this mesh.", "Try again once it is done."
+        )
+    if service.meshes.remove(caller.name if own else caller.reach, mesh_id):
         service.storage.remove_mesh(mesh_id)
     service.limits.measure_again(caller.name)
 

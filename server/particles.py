@@ -57,7 +57,7 @@ async def get_mesh_particles(
     path = service.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    preview = await service.previews.get(path, row.name, points_per_cell_edge, fit)
+    preview = await service.previews.get(path, row.name, points_per_cell_edge, fit, request)
     known = service.storage.mesh_report(mesh_id)["warnings"]
     return await anyio.to_thread.run_sync(_answer, request, preview, format, known)
 
@@ -80,7 +80,7 @@ async def get_shape_particles(
     format: Format = "u16",
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
-    preview = await service.previews.get(shape, shape, points_per_cell_edge, fit)
+    preview = await service.previews.get(shape, shape, points_per_cell_edge, fit, request)
     return await anyio.to_thread.run_sync(_answer, request, preview, format, [])
 
 

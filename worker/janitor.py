@@ -60,17 +60,31 @@ def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
     storage = Storage(settings.data_dir)
     deleted = []
     for record in _finished(queue):
-        if _is_expired(settings, record):
-            _delete(queue, storage, record)
+        if _is_expired(settings, record) and delete_at_rest(queue, storage, record):
             deleted.append(record.id)
     if settings.retention_bytes:
         kept = 0
         for record in _finished(queue):
             kept += storage.job_bytes(record.id)
-            if kept > settings.retention_bytes:
-                _delete(queue, storage, record)
+            if kept > settings.retention_bytes and delete_at_rest(queue, storage, record):
                 deleted.append(record.id)
     return deleted
+
+
+def delete_at_rest(queue: JobQueue, storage: Storage, record: JobRecord) -> bool:
+    """Delete a finished job, unless somebody has resumed, retried or deleted it since its record
+    was read.
+
+    Returns:
+        Whether it has been deleted.
+    """  # noqa: D205
+    now = queue.get(record.id)
+    if now is None or now.finished_at != record.finished_at:
+        return False
+    log.info("job %s has expired", record.id)
+    queue.delete(record.id)
+    storage.remove_job(record.id)
+    return True
 
 
 def delete_abandoned_uploads(storage: Storage) -> list[str]:
@@ -119,9 +133,3 @@ def _finished(queue: JobQueue) -> list[JobRecord]:
 def _is_expired(settings: Settings, record: JobRecord) -> bool:
     age = datetime.now(timezone.utc) - (record.finished_at or record.created_at)
     return settings.retention_days > 0 and age > timedelta(days=settings.retention_days)
-
-
-def _delete(queue: JobQueue, storage: Storage, record: JobRecord) -> None:
-    log.info("job %s has expired", record.id)
-    queue.delete(record.id)
-    storage.remove_job(record.id)

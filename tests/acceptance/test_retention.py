@@ -8,7 +8,12 @@ import time
 
 import pytest
 
-from worker.janitor import ABANDONED_SECONDS, delete_abandoned_uploads, delete_expired
+from worker.janitor import (
+    ABANDONED_SECONDS,
+    delete_abandoned_uploads,
+    delete_at_rest,
+    delete_expired,
+)
 from worker.job import JobState
 from worker.storage import Storage
 
@@ -37,6 +42,20 @@ def test_retention(cluster):
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
     assert set(delete_expired(by_age, queue)) == set(finished[1:])
     assert [record.id for record in queue.newest()] == [queued]
+
+
+def test_what_is_resumed_meanwhile_stays(cluster):
+    """Between the janitor's look at the list and its turn, somebody may want a job again."""
+    storage, queue = cluster.storage, cluster.queue
+    job = cluster.submit()
+    queue.cancel(job)
+    seen = queue.get(job)
+    queue.resume(job)
+    assert not delete_at_rest(queue, storage, seen)
+    assert queue.get(job).state is JobState.QUEUED
+    queue.cancel(job)
+    assert delete_at_rest(queue, storage, queue.get(job))
+    assert queue.get(job) is None
 
 
 def test_abandoned_uploads(tmp_path):

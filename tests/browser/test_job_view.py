@@ -83,6 +83,14 @@ def saved(page: Page, label: str | re.Pattern[str], folder: Path) -> Path:
     return path
 
 
+def test_a_download_that_breaks_off_is_told_of(opened):
+    """The service may stop when the answer has begun; the browser then fails its body."""
+    cut = "Promise.reject(new TypeError('cut'))"
+    opened.evaluate(f"() => {{ Response.prototype.blob = () => {cut}; }}")
+    opened.get_by_role("button", name="Metrics, CSV").click()
+    expect(opened.get_by_text("The service does not answer.")).to_be_visible()
+
+
 def test_a_remembered_target_comes_with_the_first_frame(new_service, new_page):
     """On a page that was opened before the job began, too."""
     fresh = new_service()

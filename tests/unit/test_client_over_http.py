@@ -381,6 +381,17 @@ def test_what_is_left_of_another_version_is_not_continued(tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def test_a_download_that_cannot_be_written_says_why(tmp_path):
+    """A folder where the file should be is no fault of the program."""
+    (tmp_path / "r.vtkhdf").mkdir()
+    with (
+        serving(result) as (server, _),
+        MorphClient(server) as client,
+        pytest.raises(ResultError, match="cannot be written"),
+    ):
+        client.download(JOB_ID, tmp_path / "r.vtkhdf")
+
+
 def test_a_damaged_download_is_noticed(tmp_path):
     """The digest tells; neither the file nor its beginning stays, so that the next one is fresh."""
     (tmp_path / f"r.vtkhdf.{DIGEST}.part").write_bytes(b"rubbish")

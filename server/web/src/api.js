@@ -18,7 +18,7 @@ export class Problem extends Error {
 
 /** JSON at an address below /v1; a quiet request asks for no key where one is wanted. */
 export async function get(path, { query, signal, quiet } = {}) {
-  return (await request("GET", path, { query, signal, quiet })).json();
+  return received(await request("GET", path, { query, signal, quiet }), "json");
 }
 
 /** Send JSON, or a Blob as it is; answers JSON. */
@@ -29,7 +29,7 @@ export async function post(path, body, { idempotencyKey, query, signal } = {}) {
   if (!plain) headers["Content-Type"] = "application/json";
   const payload = plain ? body : JSON.stringify(body);
   const response = await request("POST", path, { query, signal, headers, body: payload });
-  const text = await response.text();
+  const text = await received(response, "text");
   return text ? JSON.parse(text) : null;
 }
 
@@ -41,13 +41,13 @@ export async function del(path, { signal } = {}) {
 /** Bytes and headers. */
 export async function binary(path, { query, signal } = {}) {
   const response = await request("GET", path, { query, signal });
-  return { buffer: await response.arrayBuffer(), headers: response.headers };
+  return { buffer: await received(response, "arrayBuffer"), headers: response.headers };
 }
 
 /** A picture as the address of a blob, which the caller revokes; an <img> sends no key itself. */
 export async function picture(path, { query, signal } = {}) {
   const response = await request("GET", path, { query, signal });
-  return URL.createObjectURL(await response.blob());
+  return URL.createObjectURL(await received(response, "blob"));
 }
 
 /**
@@ -82,7 +82,7 @@ export async function save(path, name, { query, signal } = {}) {
   const either = AbortSignal.any([looking.signal, signal].filter(Boolean));
   const response = await request("GET", path, { query, signal: either });
   const size = Number(response.headers.get("Content-Length") ?? Infinity);
-  if (key() || size <= LARGEST_BLOB) return saveBlob(await response.blob(), name);
+  if (key() || size <= LARGEST_BLOB) return saveBlob(await received(response, "blob"), name);
   // a link sends no key and tells of no refusal, but keeps what is large out of the page's memory
   looking.abort();
   saveFrom(url(path, query), name);
@@ -149,7 +149,7 @@ export async function* events(jobId, { after = 0, signal, onState = () => {} } =
       let state = null;
       for await (const event of messages(response.body)) {
         failures = 0;
-        last = Math.max(last, event.id);
+        last = event.id; // which begins anew when the job does
         if (event.type === "state") state = event.data.state;
         yield event;
       }
@@ -192,6 +192,15 @@ async function request(method, path, { query, signal, headers = {}, body, quiet 
   if (response.status !== 401 || quiet) throw found;
   await askForKey(found);
   return request(method, path, { query, signal, headers, body });
+}
+
+/** The body of an answer, which may break off when the service or the network does. */
+async function received(response, kind) {
+  try {
+    return await response[kind]();
+  } catch (error) {
+    throw error.name === "AbortError" ? error : unreachable();
+  }
 }
 
 function url(path, query) {

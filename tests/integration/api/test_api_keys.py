@@ -83,6 +83,24 @@ def test_a_key_sees_its_own_things(api: Api, cube: bytes) -> None:
     assert [first.status_code, other.status_code] == [202, 202], "keys do not share theirs"
 
 
+def test_an_admin_deletes_its_own_upload_first(api: Api, cube: bytes) -> None:
+    """Another key's upload of the same bytes stays, and its file; then that one can be deleted."""
+    root = _key(api, "root", "admin")
+    ann = _key(api, "ann", "submit", by=root)
+    for key in (root, ann):
+        mesh = api.http.post("/v1/meshes?name=a.obj", content=cube, headers=key).json()["id"]
+    path = f"/v1/meshes/{mesh}"
+    assert api.http.delete(path, headers=root).status_code == 204
+    assert api.http.get(f"{path}/file", headers=ann).status_code == 200
+    body: dict[str, Any] = MORPH | {"source": {"mesh": mesh}}
+    job = api.http.post("/v1/jobs", json=body, headers=root).json()["id"]
+    assert api.http.delete(path, headers=ann).status_code == 409, "the last upload, still in use"
+    api.http.post(f"/v1/jobs/{job}/cancel", headers=root)
+    assert api.http.delete(path, headers=root).status_code == 204
+    assert api.http.get(path, headers=ann).status_code == 404
+    assert api.service.storage.mesh_file(mesh) is None
+
+
 def test_pages_of_other_sites_stay_out(api: Api) -> None:
     """Without keys, neither a foreign host name nor a foreign page gets through a browser."""
     assert api.http.get("/v1/jobs", headers={"Host": "evil.example"}).status_code == 403

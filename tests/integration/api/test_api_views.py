@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import httpx
 import numpy as np
 import pytest
 import trimesh
@@ -111,3 +113,17 @@ def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) ->
         answer = api.http.get(f"/v1/{path}")
         assert answer.status_code == 422 and answer.json()["remedy"]
     assert api.http.get(f"/v1/meshes/{'0' * 64}/particles").status_code == 404
+
+
+def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
+    """Who leaves while another preview is under way costs nothing."""
+    path, previews = "/v1/shapes/star/particles?points_per_cell_edge=", api.service.previews
+    with ThreadPoolExecutor() as pool:
+        first = pool.submit(api.http.get, f"{path}5")
+        while not previews._running:
+            assert not first.done()
+        with pytest.raises(httpx.ReadTimeout):
+            api.http.get(f"{path}6", timeout=0.3)
+        assert first.result().status_code == 200
+    assert api.http.get(f"{path}2").status_code == 200
+    assert {wanted.points_per_cell_edge for wanted in previews._kept} == {5, 2}

@@ -28,7 +28,8 @@ export function pictures({ panel, timeline, name, signal }) {
       button.textContent = "Stop recording";
       try {
         const { advance, seconds } = make(viewer);
-        saveBlob(await viewer.record(advance, { seconds, signal: stop }), `${name()}-${suffix}.webm`);
+        const recorded = await viewer.record(advance, { seconds, signal: stop });
+        if (!signal.aborted) saveBlob(recorded, `${name()}-${suffix}.webm`);
       } finally {
         recording = null;
         button.textContent = label;

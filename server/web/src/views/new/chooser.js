@@ -265,6 +265,7 @@ export class Chooser {
       this.listEarlier();
       if (this.address === id) fill(this.report, report(mesh));
     } catch (error) {
+      if (this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.trouble, problem(error));
     }
