@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +15,7 @@ import typer
 
 from client.connection import KeyOption, ServerOption, connect
 from client.errors import print_json
-from client.interrupt import at_interrupt, say
+from client.interrupt import removing
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -76,7 +76,11 @@ def export(
     exports.check(name, surface=surface, fields=chosen)
     wanted = parse_frames(frames)
     check_place(out, force=force, folder=True)
-    with _local(result, server, key) as path, _progress(quiet=quiet or as_json) as watch:
+    with (
+        _local(result, server, key) as path,
+        _unfinished(out),
+        _progress(quiet=quiet or as_json) as watch,
+    ):
         exports.export(
             path,
             out,
@@ -120,7 +124,11 @@ def render(
 
     pixels, wanted = parse_size(size), parse_frames(frames)
     check_place(out, force=force, folder=True)
-    with _local(result, server, key) as path, _progress(quiet=quiet or as_json) as watch:
+    with (
+        _local(result, server, key) as path,
+        _unfinished(out),
+        _progress(quiet=quiet or as_json) as watch,
+    ):
         video(
             path,
             out,
@@ -152,16 +160,19 @@ def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
     if path.exists() or not JOB_ID.fullmatch(result):
         yield path
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        removing(Path(folder).parent, Path(folder).name),
+        connect(server, key) as client,
+    ):
+        fetched = Path(folder) / f"{result}.vtkhdf"
+        client.download(result, fetched)
+        yield fetched
 
-        def tidy_up() -> None:
-            shutil.rmtree(folder, ignore_errors=True)
-            say("Stopped by Ctrl-C.", "Run the command again.")
 
-        with at_interrupt(tidy_up), connect(server, key) as client:
-            fetched = Path(folder) / f"{result}.vtkhdf"
-            client.download(result, fetched)
-            yield fetched
+def _unfinished(out: Path) -> AbstractContextManager[None]:
+    """Within, Ctrl-C leaves nothing of what is being written."""
+    return removing(out.absolute().parent, f"{escape(out.name)}.tmp*")
 
 
 @contextmanager

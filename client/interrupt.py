@@ -9,10 +9,12 @@ run directory, which is whole at any instant.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 INTERRUPTED = 130
@@ -44,6 +46,23 @@ def at_interrupt(action: Action) -> Iterator[None]:
     finally:
         _action = before
         install()
+
+
+@contextmanager
+def removing(folder: Path, pattern: str) -> Iterator[None]:
+    """Within, Ctrl-C removes what a pattern finds in a folder before it does what it would do."""
+    action = _action
+
+    def remove() -> None:
+        for path in folder.glob(pattern):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+        action()
+
+    with at_interrupt(remove):
+        yield
 
 
 def ignore() -> None:

@@ -54,7 +54,7 @@ def execute_remotely(
         for run in missing:
             if run.id in progress.finished:
                 continue
-            job = jobs[run.id] = client.job(jobs[run.id].id)
+            job = jobs[run.id] = client.job(jobs[run.id].id, patient=True)
             if job.state is JobState.QUEUED:
                 continue
             if job.state.finished:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from client.download import download
 from client.following import follow
-from client.retry import Attempts
+from client.retry import PATIENT, USUAL, Attempts
 from client.service_error import ServiceError, strange_answer
 from client.transport import COMPUTING_TIMEOUT, Call, Transport
 from morph_engine.digest import file_sha256
@@ -208,9 +208,9 @@ class Service:
             if cursor is None:
                 return
 
-    async def job(self, job_id: str) -> Job:
-        """A job as it stands."""
-        return await self._get(Job, _at("jobs", job_id))
+    async def job(self, job_id: str, *, patient: bool = False) -> Job:
+        """A job as it stands; patient, it waits about a minute for a service that is away."""
+        return await self._get(Job, _at("jobs", job_id), patient=patient)
 
     async def cancel(self, job_id: str) -> Job:
         """Stop a job; its finished frames stay."""
@@ -244,7 +244,7 @@ class Service:
         """The job once it is finished, however it ended."""
         async for _ in self.events(job_id):
             pass
-        return await self.job(job_id)
+        return await self.job(job_id, patient=True)
 
     # results
 
@@ -423,9 +423,9 @@ class Service:
         )
         return self._parse(Sweep, await self._send(_once("/sweeps", body, idempotency_key)))
 
-    async def sweep_status(self, sweep_id: str) -> Sweep:
-        """A sweep and its table."""
-        return await self._get(Sweep, _at("sweeps", sweep_id))
+    async def sweep_status(self, sweep_id: str, *, patient: bool = False) -> Sweep:
+        """A sweep and its table; patient, it waits about a minute for a service that is away."""
+        return await self._get(Sweep, _at("sweeps", sweep_id), patient=patient)
 
     # what there is to choose from
 
@@ -498,8 +498,9 @@ class Service:
 
     # how calls are sent
 
-    async def _send(self, call: Call) -> httpx.Response:
-        attempts = Attempts(self._transport.server, repeatable=call.repeatable)
+    async def _send(self, call: Call, *, patient: bool = False) -> httpx.Response:
+        limit = PATIENT if patient else USUAL
+        attempts = Attempts(self._transport.server, limit=limit, repeatable=call.repeatable)
         while True:
             try:
                 response = await self._transport.send(call)
@@ -512,8 +513,11 @@ class Service:
                 pause = attempts.pause_after_loss(error)
             await self._transport.sleep(pause)
 
-    async def _get(self, model: type[Model], path: str, **query: Any) -> Model:
-        return self._parse(model, await self._send(Call("GET", path, query, repeatable=True)))
+    async def _get(
+        self, model: type[Model], path: str, *, patient: bool = False, **query: Any
+    ) -> Model:
+        call = Call("GET", path, query, repeatable=True)
+        return self._parse(model, await self._send(call, patient=patient))
 
     async def _get_bytes(
         self, path: str, timeout: httpx.Timeout | None = None, **query: Any

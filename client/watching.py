@@ -23,7 +23,7 @@ def watch_job(client: MorphClient, job: Job, *, quiet: bool) -> Job:
         _wait_for_start(client, job, display)
         for event in client.events(job.id):
             _show(event, display)
-    return client.job(job.id)
+    return client.job(job.id, patient=True)
 
 
 def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool) -> Sweep:
@@ -36,7 +36,7 @@ def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool) -> Sweep:
         known = {row.job: row.state for row in sweep.rows if row.state.finished}
         while len(known) < len(sweep.rows):
             time.sleep(POLL_SECONDS)
-            sweep = client.sweep_status(sweep.id)
+            sweep = client.sweep_status(sweep.id, patient=True)
             for row in sweep.rows:
                 if row.state.finished and row.job not in known:
                     known[row.job] = row.state
@@ -54,7 +54,7 @@ def _wait_for_start(client: MorphClient, job: Job, display: RunDisplay) -> None:
             text = f"queued, {before} before it" if before else "queued"
             display.describe(text)
         time.sleep(POLL_SECONDS / 4)
-        job = client.job(job.id)
+        job = client.job(job.id, patient=True)
     display.describe("preparing")
 
 

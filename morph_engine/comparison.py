@@ -22,7 +22,7 @@ from morph_engine.errors import ConfigError, MeshError
 from morph_engine.fill import fill_metrics, outside_metrics
 from morph_engine.mesh import Mesh
 from morph_engine.metrics import Points, chamfer_metrics, deformation_metrics
-from morph_engine.sampling import sample_lattice
+from morph_engine.sampling import HALF_EXTENT, SAFE_HALF_EXTENT, sample_lattice
 from morph_engine.shapes import resolve_shape
 from morph_engine.trajectory import Trajectory
 
@@ -79,7 +79,7 @@ def measure(
     deformation: npt.ArrayLike | None = None,
     tau: float = 0.2,
     grid_spacing: float = 1.0,
-    domain_half_extent: float = 14.0,
+    domain_half_extent: float = SAFE_HALF_EXTENT,
     workers: int = 1,
 ) -> Measurement:
     """Take every number there is between particles and a target.
@@ -193,6 +193,7 @@ def compare(
         reference=reference,
         mesh=goal.mesh,
         tau=tau,
+        domain_half_extent=particles.domain or goal.domain or SAFE_HALF_EXTENT,
         workers=workers,
     )
 
@@ -237,6 +238,7 @@ class _Shape:
     # of a result only
     to_user: Matrix | None = None
     spacing: float | None = None
+    domain: float | None = None
     target: _Shape | None = None
 
     def moved(self, matrix: Matrix) -> _Shape:
@@ -271,12 +273,15 @@ def _load(shape: Comparable, frame: int) -> _Shape:
 
 
 def _of_run(run: Trajectory, frame: int) -> _Shape:
+    grid = run.config["grid"]
+    margin = run.config.get("watchdog", {}).get("domain_margin", 0)
     target = _Shape(mesh=run.target) if isinstance(run.target, Mesh) else _Shape()
     target = replace(target.moved(np.linalg.inv(run.transform)), points=run.target_points)
     return _Shape(
         points=run.positions(frame),
         to_user=run.transform,
-        spacing=run.config["grid"]["dx"] / run.config["sampling"]["points_per_cell_edge"],
+        spacing=grid["dx"] / run.config["sampling"]["points_per_cell_edge"],
+        domain=grid.get("half_extent", HALF_EXTENT) - margin * grid["dx"],
         target=target,
     )
 

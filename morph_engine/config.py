@@ -20,6 +20,9 @@ NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
+MOST_CELLS = 250
+"""Cells per axis; with more, a node's number would not fit (`morph_engine.mpm.kernel.Geometry`)."""
+
 COURANT_LIMIT = 1.0
 """An elastic wave crosses at most this many cells in a time step (Courant condition)."""
 
@@ -330,8 +333,10 @@ class MorphConfig(_Section):
                 "of this material and grid"
             )
         cells = 2 * self.grid.half_extent / self.grid.dx
-        if abs(cells - round(cells)) > 1e-6 or not 4 <= round(cells) <= 512:
-            raise ValueError("grid.half_extent / grid.dx must give 4 to 512 whole cells per axis")
+        if abs(cells - round(cells)) > 1e-6 or not 4 <= round(cells) <= MOST_CELLS:
+            raise ValueError(
+                f"2 grid.half_extent / grid.dx must give 4 to {MOST_CELLS} whole cells per axis"
+            )
         return self
 
 

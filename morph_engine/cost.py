@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 STARTUP_SECONDS = 8.0
 MEGABYTES_AT_REST = 300.0
+BYTES_IN_RESULT = 16  # of a particle in a frame: position and det F
 PARALLEL_EFFICIENCY = 0.9
 
 
@@ -75,7 +76,8 @@ def estimate(
     kilobytes = (
         rates.kilobytes_per_particle * particle_count + rates.kilobytes_per_target * target_count
     )
+    result_mb = BYTES_IN_RESULT * particle_count * frames / 1e6  # it is assembled in memory
     return Estimate(
         seconds=STARTUP_SECONDS + cpu_seconds / max(1.0, PARALLEL_EFFICIENCY * workers),
-        memory_mb=MEGABYTES_AT_REST + kilobytes / 1024,
+        memory_mb=MEGABYTES_AT_REST + kilobytes / 1024 + result_mb,
     )

@@ -230,10 +230,13 @@ def _frames(
             return
         wall, cpu = time.perf_counter(), time.process_time()
         outcome = method.advance(index)
-        metrics = _measure(outcome, record, config, threads, last=index == config.frames - 1)
+        metrics = _measure(outcome, record, config, threads)
+        events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
+        if stopping.stopped or index == config.frames - 1:
+            metrics |= _measure_fill(outcome, record, config, threads)
+        metrics |= outcome.numbers
         metrics["max_move"] = _max_move(before, outcome.positions)
         before = outcome.positions
-        events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
         frame = Frame(
             index=index,
             positions=outcome.positions,
@@ -263,10 +266,9 @@ def _max_move(before: NDArray[np.float32], after: NDArray[np.float32]) -> float:
 
 
 def _measure(
-    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int, *, last: bool
+    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int
 ) -> dict[str, float]:
-    """Metrics of a frame; the floor-free ones, which take longer, of the last frame only."""
-    workers = threads or os.cpu_count() or 1
+    """Metrics of every frame."""
     metrics = chamfer_metrics(
         outcome.positions,
         record.target_points,
@@ -276,24 +278,37 @@ def _measure(
         d_fwd=outcome.d_fwd,
         nearest_fwd=outcome.nearest_fwd,
         d_rev=outcome.d_rev,
-        workers=workers,
+        workers=_workers(threads),
     )
     if outcome.deformation is not None:
         metrics |= deformation_metrics(outcome.deformation)
-    if last:
-        metrics |= fill_metrics(
-            outcome.positions, record.target_points, spacing=config.spacing, workers=workers
-        )
-        if isinstance(record.target, Mesh):
-            to_user = record.transform
-            user = outcome.positions @ to_user[:3, :3].T + to_user[:3, 3]
-            scale = float(np.cbrt(np.linalg.det(to_user[:3, :3])))
-            outside = outside_metrics(user, record.target)
-            metrics |= {
-                name: value if name.endswith("share") else value / scale
-                for name, value in outside.items()
-            }
-    return metrics | outcome.numbers
+    return metrics
+
+
+def _measure_fill(
+    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int
+) -> dict[str, float]:
+    """The floor-free metrics, which take longer and are for the last frame only."""
+    metrics = fill_metrics(
+        outcome.positions,
+        record.target_points,
+        spacing=config.spacing,
+        workers=_workers(threads),
+    )
+    if isinstance(record.target, Mesh):
+        to_user = record.transform
+        user = outcome.positions @ to_user[:3, :3].T + to_user[:3, 3]
+        scale = float(np.cbrt(np.linalg.det(to_user[:3, :3])))
+        outside = outside_metrics(user, record.target)
+        metrics |= {
+            name: value if name.endswith("share") else value / scale
+            for name, value in outside.items()
+        }
+    return metrics
+
+
+def _workers(threads: int) -> int:
+    return threads or os.cpu_count() or 1
 
 
 class EarlyStopping:

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from morph_engine import palette as palettes
-from morph_engine.errors import ConfigError
+from morph_engine.durable import replacing
+from morph_engine.errors import ConfigError, ResultError
 from morph_engine.fields import FIELDS
 from morph_engine.fields import find as find_field
 from morph_engine.raster import Canvas
@@ -267,6 +268,8 @@ def video(
                 kind=chosen,
                 watch=watch,
             )
+    if not result.frame_count:
+        raise ResultError(f"{result.path} has no frames.", "Resume the run first.")
     indices = range(result.frame_count) if frames is None else map(result.index, frames)
     selection = Selection(
         result,
@@ -277,7 +280,15 @@ def video(
         watch=watch,
     )
     pictures = _pictures(selection, look(up=up), size, turntable=turntable)
-    write_video(path, _resting(pictures, round(HOLD_SECONDS * fps)), kind=chosen, fps=fps)
+    held = _resting(pictures, round(HOLD_SECONDS * fps))
+    try:
+        with replacing(path) as temporary:
+            write_video(temporary, held, kind=chosen, fps=fps)
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write {path} ({error.strerror or error}).",
+            "Free some disk space, or choose another place.",
+        ) from error
     return path
 
 

@@ -17,7 +17,10 @@ Jitter = Literal["published", "none"]
 Fit = Literal["volume", "extent", "none"]
 Floats = npt.NDArray[np.float64]
 
-HALF_EXTENT = 14.0
+HALF_EXTENT = 16.0
+"""Half edge of the usual domain, beyond which no mesh may reach [grid units]."""
+
+SAFE_HALF_EXTENT = 14.0
 """Half edge of the cube [grid units] in which every particle has its full 64-node stencil."""
 
 FIT_HALF_EXTENT = 13.0
@@ -31,7 +34,7 @@ MINIMUM_PARTICLES = 500
 """Fewer particles than this describe no shape."""
 
 LATTICE_LIMIT = 50_000_000
-"""Most lattice points a mesh may ask for; the whole domain at 8 points per cell edge has 11 M."""
+"""Most lattice points a mesh may ask for; the usual domain at 8 points per cell edge has 17 M."""
 
 CHUNK = 1 << 20
 """Lattice points tested at once; bounds the memory of sampling to about 100 MB."""

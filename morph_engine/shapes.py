@@ -79,7 +79,7 @@ def resolve_shape(spec: str) -> Mesh:
     Raises:
         MeshError: It is neither, or the mesh is unusable.
     """
-    is_file = Path(spec).exists() or Path(spec).suffix[1:].lower() in FORMATS
+    is_file = Path(spec).is_file() or Path(spec).suffix[1:].lower() in FORMATS
     if spec.startswith(TEXT_PREFIX) or not is_file:
         return make(spec)
     return load_mesh(spec)

@@ -109,7 +109,7 @@ def export(
                 fields=fields,
                 watch=watch,
             )
-    single = chosen.kind == "frame" and path.suffix == chosen.suffix
+    single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix
     selection = Selection(
         result,
         _indices(result, frames, only_last=single),
@@ -134,10 +134,11 @@ def export(
 
 
 def _write(chosen: Format, selection: Selection, path: Path) -> None:
-    if chosen.kind == "frame" and path.suffix not in (chosen.suffix, ".zip"):
+    suffix = path.suffix.lower()
+    if chosen.kind == "frame" and suffix not in (chosen.suffix, ".zip"):
         return write_folder(chosen, selection, path)
     with replacing(path) as temporary:
-        if chosen.kind == "frame" and path.suffix == ".zip":
+        if chosen.kind == "frame" and suffix == ".zip":
             write_archive(chosen, selection, temporary)
         else:
             chosen.write(selection, temporary)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -17,18 +16,18 @@ EARLIEST = (1980, 1, 1, 0, 0, 0)
 def write_archive(chosen: Format, selection: Selection, path: Path) -> None:
     """Write a zip archive with a file per frame; arguments as for `Format.write`."""
     total = len(selection.frames)
-    with (
-        tempfile.TemporaryDirectory(dir=path.parent) as folder,
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-    ):
-        part = Path(folder) / f"part{chosen.suffix}"
-        for done, frame in enumerate(selection.frames):
-            selection.watch(done, total)
-            chosen.write(selection.only(frame), part)
-            entry = zipfile.ZipInfo(_name(chosen, frame), EARLIEST)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            with archive.open(entry, "w") as file:
-                file.write(part.read_bytes())
+    part = path.with_name(path.name + chosen.suffix)
+    try:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for done, frame in enumerate(selection.frames):
+                selection.watch(done, total)
+                chosen.write(selection.only(frame), part)
+                entry = zipfile.ZipInfo(_name(chosen, frame), EARLIEST)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(entry, "w") as file:
+                    file.write(part.read_bytes())
+    finally:
+        part.unlink(missing_ok=True)
     selection.watch(total, total)
 
 

@@ -33,6 +33,15 @@ def test_too_little_memory_is_refused_before_the_run(record, monkeypatch, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_frames_of_a_long_run_count(record, monkeypatch):
+    """The result is assembled in memory: 16 bytes a particle and frame."""
+    free = 16 * record.particle_count * 100_000
+    monkeypatch.setattr(morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
+    morphing.check_resources(record, CONFIG)
+    with pytest.raises(ResourceError, match="MB of memory"):
+        morphing.check_resources(record, CONFIG.model_copy(update={"frames": 100_000}))
+
+
 def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path):
     """The message says how much is needed, how much is free, and what to change."""
     monkeypatch.setattr(morphing.psutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))

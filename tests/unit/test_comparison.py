@@ -172,6 +172,25 @@ def test_a_result_has_its_own_target(result: Path) -> None:
         assert compare(result, frame=0, spacing=0.4) == first
 
 
+def test_escaped_is_what_has_left_the_domain_of_the_run(tmp_path: Path) -> None:
+    """The margin and the size of the grid count, not what is usual."""
+    points = np.zeros((600, 3), np.float32)
+    points[:3, 0] = 15.5, 20.5, 22.5
+    run = RunRecord(
+        config={
+            "grid": {"dx": 1.0, "half_extent": 24.0},
+            "sampling": {"points_per_cell_edge": 3},
+            "watchdog": {"domain_margin": 2.0},
+        },
+        source=points, target=points, source_points=points, target_points=points,
+        transform=np.eye(4),
+    )  # fmt: skip
+    with Spool.create(tmp_path / "r.vtkhdf", run) as spool:
+        spool.append(0, points, {}, [])
+        write_result(spool, status="complete")
+    assert compare(tmp_path / "r.vtkhdf").values["escaped"] == 1
+
+
 def test_shapes_are_brought_to_the_grid_of_a_result(result: Path) -> None:
     """A mesh in user coordinates is compared where the run had it, as either side."""
     in_user_units = replace(CUBE, vertices=CUBE.vertices * SCALE + 1)

@@ -38,6 +38,7 @@ def test_overrides_reach_their_field() -> None:
         ({"material.model": "jelly"}, "neo_hookean"),
         ({"time.dt": 0.03}, "stable limit 0.02196"),
         ({"grid.dx": 0.7}, "whole cells"),
+        ({"grid.half_extent": 150}, "4 to 250"),
         ({"smoothing.values": "0.9,0.9"}, "one entry per value"),
     ],
 )

@@ -128,6 +128,14 @@ def test_many_frames_of_one_kind(trajectory, tmp_path):
     assert len(list(folder.iterdir())) == 3
 
 
+def test_an_ending_in_capitals_is_the_same_ending(trajectory, tmp_path):
+    """Bunny.PLY is a file, and no folder of that name."""
+    assert export(trajectory, tmp_path / "Egg.PLY", "ply").is_file()
+    with zipfile.ZipFile(export(trajectory, tmp_path / "All.ZIP", "ply")) as files:
+        assert len(files.namelist()) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["All.ZIP", "Egg.PLY"]
+
+
 def test_endings():
     """Several frames of a kind that holds one are a zip; all else has the format's own ending."""
     assert suffix("ply", None) == suffix("ply", [0, 1]) == ".zip"

@@ -342,6 +342,15 @@ def test_end_to_end_under_every_preset(name: str, preset: str) -> None:
     assert last.metrics["iou"] > 0
 
 
+def test_a_run_that_stops_early_has_all_metrics() -> None:
+    """Its last frame is measured as the last frame of any run."""
+    stopping = {"stopping.patience": 1, "stopping.earliest_frame": 0, "stopping.tolerance": 100}
+    config = tiny("published", "dco", frames=5, **stopping)
+    first, last = morph("sphere", "star", config, device="cpu")
+    assert last.events[-1].kind == "stopped"
+    assert {"iou", "rho_p05", "outside_share"} <= last.metrics.keys() - first.metrics.keys()
+
+
 def test_an_interrupted_run_resumes_from_its_file(tmp_path: Path) -> None:
     """Stopped after one frame and resumed, the file holds the positions of the unbroken run."""
     config = tiny("fast", "dcd")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from morph_engine.errors import ConfigError, ExtraError
+from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.raster import Canvas
 from morph_engine.rendering import Camera, look, picture, thumbnail, video
 from morph_engine.surface import surface
@@ -141,3 +141,20 @@ def test_refusals_name_cause_and_remedy(small_result, tmp_path, monkeypatch):
     with pytest.raises(ExtraError, match=r"pip install 'chamfer-morph\[video\]'"):
         video(small_result, tmp_path / "a.mp4", size=SMALL)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_video_is_there_as_a_whole_or_not_at_all(small_result, tmp_path, monkeypatch):
+    """What breaks off leaves the older video, and says why."""
+    path = tmp_path / "egg.gif"
+    path.write_bytes(b"the older one")
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("morph_engine.rendering.write_video", full)
+    with pytest.raises(ResultError, match="No space left"):
+        video(small_result, path, size=SMALL)
+    assert path.read_bytes() == b"the older one"
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(ResultError, match="Cannot write"):
+        video(small_result, tmp_path / "no" / "folder.gif", size=SMALL)

@@ -115,6 +115,13 @@ def test_resolve_reads_files_and_built_ins(tmp_path):
     assert resolve_shape("sphere").name == "sphere"
 
 
+def test_a_folder_hides_no_built_in_shape(tmp_path, monkeypatch):
+    """An export may have made one of that name."""
+    (tmp_path / "star").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert resolve_shape("star").name == "star"
+
+
 def test_same_shape_same_digest():
     """The digest of a built-in shape identifies it."""
     assert make("star").sha256 == make("star").sha256
