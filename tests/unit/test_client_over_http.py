@@ -179,6 +179,16 @@ def test_patience_ends():
     assert len(requests) == 1
 
 
+def test_whoever_watches_is_patient():
+    """A service that is away for half a minute ends no watching of hours."""
+    away = [problem(503)] * (retry.USUAL + 3)
+    with serving(*away, as_json(job("running"))) as (server, _), MorphClient(server) as client:
+        slept = []
+        client.service._transport.sleep = recorded(slept)
+        assert client.job(JOB_ID, patient=True).state == "running"
+    assert len(slept) == len(away)
+
+
 def test_no_service_at_all_says_how_to_start_one():
     """Nobody listens at a port that was just free."""
     with socket.socket() as free:
