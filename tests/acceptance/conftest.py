@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -114,13 +115,18 @@ class Cluster:
         return self.job(job_id)
 
     def engine(self, worker: subprocess.Popen[bytes]) -> psutil.Process:
-        """The engine process of a worker."""
+        """The engine process of a worker, which has other short-lived children too."""
+        found: list[psutil.Process] = []
 
-        def children() -> list[psutil.Process]:
-            return psutil.Process(worker.pid).children()
+        def is_there() -> bool:
+            for child in psutil.Process(worker.pid).children():
+                with suppress(psutil.Error):  # it has ended
+                    if "worker.child" in child.cmdline():
+                        found.append(child)
+            return bool(found)
 
-        self.wait_until(lambda: bool(children()), "the engine process of a worker")
-        return children()[0]
+        self.wait_until(is_there, "the engine process of a worker")
+        return found[0]
 
     def require_sound(self, job_id: str, undisturbed: np.ndarray, *, kills: int = 1) -> None:
         """A succeeded job: its result equals an undisturbed one, and little was done twice."""
