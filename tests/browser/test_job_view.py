@@ -112,6 +112,28 @@ def test_a_remembered_target_comes_with_the_first_frame(new_service, new_page):
     assert found.value.ok
 
 
+def test_a_retry_begins_with_an_empty_view(new_service, new_page):
+    """While the job waits again, nothing of its first time is in sight."""
+    fresh = new_service()
+    page = new_page(of=fresh)
+    job = fresh.submit(name="twice", frames=FRAMES, method="dco")
+    fresh.wait_for(job, "succeeded", seconds=COMPILING)
+    page.goto(f"/jobs/{job}")
+    expect_frame(page, FRAMES)
+    assert drawn(picture(page)) > 0.05
+    before = fresh.submit(name="in the way", frames=MANY)
+    fresh.wait_for(before, "running")
+    page.get_by_role("button", name="Retry").click()
+    page.get_by_role("dialog").get_by_role("button", name="Retry").click()
+    expect(page.locator(".scene canvas")).to_have_attribute(
+        "aria-label", "No frame is finished yet."
+    )
+    assert drawn(picture(page)) < 0.01  # the frame around it
+    fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    expect_frame(page, FRAMES)
+    assert drawn(picture(page)) > 0.05
+
+
 def test_a_job_is_watched_to_its_end(service, page):
     """Frames, curves and state arrive by themselves, and the newest frame is in sight."""
     job = service.submit(name="watched", frames=FRAMES, method="dco")

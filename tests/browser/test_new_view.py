@@ -94,6 +94,11 @@ def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
     card(page, "From").get_by_role("radio", name="Mesh file").check()
     card(page, "From").get_by_label("Or a mesh sent before").select_option("ball.obj")
     expect(card(page, "From")).to_contain_text("ball.obj:")
+    chosen = page.url
+    card(page, "From").get_by_role("radio", name="Built-in").check()
+    page.wait_for_url(re.compile("source=shape"))
+    card(page, "From").get_by_role("radio", name="Mesh file").check()
+    page.wait_for_url(chosen)
     card(page, "To").get_by_role("radio", name="Text").check()
     word = card(page, "To").get_by_label("Word")
     word.fill("no spaces")

@@ -94,3 +94,8 @@ export function ago(text, now = Date.now()) {
 export function jobName(job) {
   return job.name || `${job.source_name} → ${job.target_name}`;
 }
+
+/** What files of a job are called, without an ending. */
+export function jobFileName(job) {
+  return jobName(job).replaceAll(/[^\p{L}\p{N}]+/gu, "-").replaceAll(/^-|-$/g, "") || "morph";
+}

@@ -24,6 +24,7 @@ export class Panel {
   #surfaces = new Map();
   #asked = new AbortController();
   #rangeOf = "";
+  #measured = Infinity; // frames that were known then
   #targetShown = null;
 
   /**
@@ -46,7 +47,7 @@ export class Panel {
     this.frames = new Frames(jobId, {
       signal,
       onArrival: (index) => {
-        if (COLOURS[this.display.colour]?.local && this.#decides(index)) this.#recolour();
+        if (this.#changesColours(index)) this.#recolour();
         onArrival(index);
       },
     });
@@ -97,6 +98,12 @@ export class Panel {
     this.source = undefined;
     this.#rangeOf = "";
     this.index = -1;
+    this.#turn += 1;
+    this.#asked.abort();
+    this.#asked = new AbortController();
+    this.#viewer?.clear();
+    this.legend.show(null);
+    this.#say("");
   }
 
   /** Show a frame once it is here; a later call overtakes an earlier one. */
@@ -152,8 +159,13 @@ export class Panel {
     return this.#recolour();
   }
 
-  #decides(index) {
-    return decisive(this.display.colour, this.frames).includes(index);
+  /** Whether a frame that has come changes the range of colours, or the speed in the one shown. */
+  #changesColours(index) {
+    const { colour } = this.display;
+    if (!(colour in COLOURS)) return false;
+    if (colour === "speed" && index === this.index - 1) return true;
+    if (COLOURS[colour].local) return decisive(colour, this.frames).includes(index);
+    return !this.sharedRange && this.frames.known >= 2 * this.#measured; // few frames tell little
   }
 
   async #open() {
@@ -236,6 +248,7 @@ export class Panel {
     const key = `${this.display.colour} ${this.display.up}`;
     if (this.#rangeOf !== key || !this.scale) {
       this.#fields.clear();
+      this.#measured = Math.max(1, this.frames.known);
       this.scale = await (this.sharedRange ? this.sharedRange() : this.measure());
       this.#rangeOf = key;
     }

@@ -107,6 +107,13 @@ export class Viewer {
     this.draw();
   }
 
+  /** Show no particles and no surface until the next frame. */
+  clear() {
+    this.setSurface(null);
+    this.particles.visible = false;
+    this.draw();
+  }
+
   /** @param {number} distance between neighbouring particles, which decides their size [grid units]. */
   setSpacing(distance) {
     this.#spaced = true;

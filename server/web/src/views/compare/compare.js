@@ -34,7 +34,11 @@ export async function show(root, { jobs: wanted = "" }, signal) {
   const rows = ids.map(() => []);
   const links = new Links();
   const display = new Display({
-    onChange: (state) => links.panels.forEach((panel) => panel.setDisplay(state)),
+    onChange: async (state) => {
+      const turned = links.panels.some((panel) => panel.display.up !== state.up);
+      await Promise.all(links.panels.map((panel) => panel.setDisplay(state)));
+      if (turned) await links.reset();
+    },
   });
   const overlay = new Overlay({ onSeek: (index) => timeline.choose(index), signal });
   const panels = ids.map((id, i) => {
@@ -100,14 +104,16 @@ export async function show(root, { jobs: wanted = "" }, signal) {
     timeline.grow(longest, jobs.some((job) => lives(job.state)));
   };
   let settling = 0;
-  let settled = false;
+  let settled = 0; // panels that were there when the cameras were joined last
   const settle = () => {
     clearTimeout(settling);
     settling = setTimeout(async () => {
       if (signal.aborted) return;
-      if (!settled || COLOURS[display.state.colour]?.local) await links.recolour();
-      if (!settled && panels.every((panel) => panel.index >= 0)) {
-        settled = true;
+      const there = panels.filter((panel) => panel.frames.known > 0);
+      const joining = there.length > settled;
+      if (joining || COLOURS[display.state.colour]?.local) await links.recolour();
+      if (joining && there.every((panel) => panel.index >= 0)) {
+        settled = there.length;
         await links.reset();
       }
     }, 150);

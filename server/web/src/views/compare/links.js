@@ -28,7 +28,7 @@ export class Links {
     const viewers = (await Promise.all(this.panels.map((panel) => panel.viewer))).filter(Boolean);
     for (const viewer of viewers) viewer.reset();
     const widest = viewers.reduce((a, b) => (a.distance > b.distance ? a : b), viewers[0]);
-    for (const viewer of viewers) if (viewer !== widest) viewer.view = widest.view;
+    for (const viewer of viewers) viewer.view = widest.view; // from now on none fits itself alone
   }
 
   /** The range of the present colouring over all panels, measured once for what is known. */

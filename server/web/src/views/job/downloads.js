@@ -1,7 +1,7 @@
 /** Files of a job: what is there already, and exports that are made on demand. */
 import { Problem, get, pause, post, save } from "../../api.js";
 import { fill, h } from "../../dom.js";
-import { bytes, lives, percent } from "../../format.js";
+import { bytes, jobFileName, lives, percent } from "../../format.js";
 import { COLOURS } from "../../viewer/colours.js";
 import { problem } from "../../router.js";
 
@@ -33,28 +33,29 @@ export class Downloads {
     this.shown = shown;
     const some = job.progress.frame > 0;
     const root = `/jobs/${this.jobId}`;
+    const named = () => jobFileName(this.job);
     const size = job.outcome ? `, ${bytes(job.outcome.size_bytes)}` : "";
     fill(
       this.files,
       !lives(job.state) &&
         some &&
-        this.#file(`Result, VTKHDF${size}`, `${root}/result`, () => "result.vtkhdf"),
+        this.#file(`Result, VTKHDF${size}`, `${root}/result`, () => `${named()}.vtkhdf`),
       some &&
         this.#file(
-          "This frame, PLY",
+          "This frame, PLY in grid units",
           () => `${root}/frames/${this.frame()}`,
-          () => `frame-${this.frame() + 1}.ply`,
+          () => `${named()}-frame-${this.frame() + 1}.ply`,
           { format: "ply" },
         ),
       some &&
         this.#file(
-          "Surface of this frame, GLB",
+          "Surface of this frame, GLB in your units",
           () => `${root}/frames/${this.frame()}/surface`,
-          () => `surface-${this.frame() + 1}.glb`,
+          () => `${named()}-surface-${this.frame() + 1}.glb`,
           { format: "glb", units: "user" },
         ),
-      some && this.#file("Metrics, CSV", `${root}/metrics`, () => "metrics.csv", { format: "csv" }),
-      this.#file("Log", `${root}/log`, () => "log.txt"),
+      some && this.#file("Metrics, CSV", `${root}/metrics`, () => `${named()}-metrics.csv`, { format: "csv" }),
+      this.#file("Log", `${root}/log`, () => `${named()}-log.txt`),
     );
     this.exports.hidden = !some;
   }

@@ -7,7 +7,7 @@ import { announce } from "../../announce.js";
 import { Problem, get } from "../../api.js";
 import { Curves } from "../../charts/curves.js";
 import { fill, h } from "../../dom.js";
-import { jobName, lives, state as word } from "../../format.js";
+import { jobFileName, jobName, lives, state as word } from "../../format.js";
 import { go, problem, title } from "../../router.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
@@ -94,7 +94,7 @@ export async function show(root, { id }, signal) {
 
   const job = await watch.ask();
   panel.open();
-  const name = () => jobName(watch.job).replaceAll(/[^\p{L}\p{N}]+/gu, "-");
+  const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
   fill(
     root,

@@ -144,6 +144,7 @@ export class Chooser {
       this.choose(kind);
       const chosen = this.panels.shape.querySelector("input:checked");
       if (kind === "shape") this.changed({ shape: chosen?.value ?? this.shapes[0] });
+      if (kind === "file" && this.earlier.value) this.pick({ mesh: this.earlier.value });
       if (kind === "text" && this.word.value) this.changed({ shape: TEXT + this.word.value });
     };
     const input = h("input", { type: "radio", name: `${this.role}-kind`, value: kind, on: { change } });
