@@ -4,7 +4,7 @@ It reads one JSON document from standard input: `url`, `jobs` and `bursts`, each
 [s since 1970]. After each burst it prints what that one saw, as a line of JSON.
 
 It shares the machine with what is measured, so it has to be light: it speaks just as much HTTP as
-the API answers with, over connections that it keeps, on uvloop. A general client takes three times
+the API answers with, over connections that it keeps, on uvloop. A general client takes about twice
 the CPU time.
 """
 
