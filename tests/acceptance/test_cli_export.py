@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 import subprocess
 import sys
+import time
 import zipfile
 from pathlib import Path
 
@@ -24,18 +26,22 @@ GENERATOR = np.random.default_rng(3)
 SOURCE = GENERATOR.uniform(-2, 2, (600, 3)).astype(np.float32)
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    """A box of particles that rises in two frames."""
-    config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 2})
+def rising_box(path, frames):
+    """The result of a box of particles that rises."""
+    config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": frames})
     record = RunRecord(config.model_dump(mode="json"), SOURCE, SOURCE, SOURCE, SOURCE)
-    path = tmp_path_factory.mktemp("result") / "box.vtkhdf"
     with Spool.create(path, record) as spool:
-        for frame in range(2):
+        for frame in range(frames):
             spool.append(frame, SOURCE + np.float32([0, frame, 0]), {"s2t": float(frame)})
         write_result(spool, status="complete")
         spool.remove()
     return path
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """A box of particles that rises in two frames."""
+    return rising_box(tmp_path_factory.mktemp("result") / "box.vtkhdf", frames=2)
 
 
 def morph(*arguments, cwd):
@@ -88,3 +94,19 @@ def test_refusals_have_cause_and_remedy(result, tmp_path, arguments, word):
     lines = outcome.stderr.strip().splitlines()
     assert len(lines) == 2 and word in outcome.stderr, outcome.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
+def test_an_interrupted_export_leaves_nothing(tmp_path_factory, tmp_path):
+    """Ctrl-C ends the command with its own status, and takes along what was begun."""
+    result = rising_box(tmp_path_factory.mktemp("long") / "box.vtkhdf", frames=200)
+    arguments = ["export", result, "-o", "all.zip", "--format", "obj", "--surface"]
+    process = subprocess.Popen([MORPH, *map(str, arguments)], cwd=tmp_path, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "all.zip.tmp.obj").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert b"Stopped by Ctrl-C" in process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    assert list(tmp_path.iterdir()) == []
