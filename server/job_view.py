@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from morph_engine.run_record import RunRecord
 from server.keyring import Caller
@@ -126,24 +127,52 @@ def check_allowed(record: JobRecord, action: Action) -> None:
     )
 
 
-def show(record: JobRecord, service: Service, *, alone: bool = True) -> Job:
+class _Standing(NamedTuple):
+    """All that decides how a job is shown; equal as long as nothing has changed."""
+
+    record: JobRecord
+    progress: JobProgress
+    position: int | None
+    slots: int
+
+
+def show(record: JobRecord, service: Service) -> Job:
     """A job as the API shows it.
+
+    Args:
+        record: As the queue knows it.
+        service: Where to look for its progress.
+    """
+    return _shown(_standing(record, service))
+
+
+def show_json(record: JobRecord, service: Service, *, alone: bool = True) -> bytes:
+    """A job as the API shows it, in JSON.
 
     Args:
         record: As the queue knows it.
         service: Where to look for its progress.
         alone: Whether to count the jobs before it too, which takes a query.
     """
+    return _shown_json(_standing(record, service, alone=alone))
+
+
+def _standing(record: JobRecord, service: Service, *, alone: bool = True) -> _Standing:
     position = None
     if alone and record.state is JobState.QUEUED:
         position = service.queue.position(record.id)
-    seen = read_progress(service.storage, record.id, record.spec)
-    return _shown(record, seen, position, service.settings.workers)
+    progress = read_progress(service.storage, record.id, record.spec)
+    return _Standing(record, progress, position, service.settings.workers)
 
 
 @lru_cache(maxsize=RECORDS_KEPT)
-def _shown(record: JobRecord, seen: JobProgress, position: int | None, slots: int) -> Job:
-    """A job as it stands, made once for all who ask before it changes."""
+def _shown_json(standing: _Standing) -> bytes:
+    """A job as it stands, encoded once for all who ask before it changes."""
+    return _shown(standing).model_dump_json().encode()
+
+
+def _shown(standing: _Standing) -> Job:
+    record, progress = standing.record, standing.progress
     config = record.spec.config
     return Job(
         id=record.id,
@@ -164,30 +193,30 @@ def _shown(record: JobRecord, seen: JobProgress, position: int | None, slots: in
         started_at=record.started_at,
         finished_at=record.finished_at,
         progress=Progress(
-            frame=seen.frame,
-            frames=seen.frames,
-            attempt=seen.attempt,
-            metrics=seen.metrics,
-            seconds_left=_seconds_left(record, seen, position, slots),
+            frame=progress.frame,
+            frames=progress.frames,
+            attempt=progress.attempt,
+            metrics=progress.metrics,
+            seconds_left=_seconds_left(standing),
         ),
-        queue_position=position,
+        queue_position=standing.position,
         outcome=record.outcome,
         problem=record.problem,
     )
 
 
-def _seconds_left(
-    record: JobRecord, seen: JobProgress, position: int | None, slots: int
-) -> float | None:
+def _seconds_left(standing: _Standing) -> float | None:
     """Estimate of the time left [s].
 
     While a job waits, this is its own estimate and as much for each job before it, shared out over
     the slots of this machine.
     """
+    record = standing.record
     if record.state.finished:
         return None
     estimated = float(record.attributes.get("estimate", 0))
-    left = estimated if seen.seconds_left is None else seen.seconds_left
+    measured = standing.progress.seconds_left
+    left = estimated if measured is None else measured
     if record.state is JobState.QUEUED:
-        left += estimated * (position or 0) / max(slots, 1)
+        left += estimated * (standing.position or 0) / max(standing.slots, 1)
     return left

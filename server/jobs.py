@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import AsyncExitStack
 from datetime import datetime, timezone
 from typing import Annotated, Any
@@ -120,7 +121,7 @@ async def submit_job(
     return job
 
 
-@router.get("", operation_id="listJobs", summary="List jobs")
+@router.get("", operation_id="listJobs", summary="List jobs", response_model=JobPage)
 def list_jobs(
     caller: Reader,
     service: Services,
@@ -130,7 +131,7 @@ def list_jobs(
     owner: Annotated[str | None, PlainText] = None,
     limit: pages.Limit = 50,
     cursor: pages.Cursor = None,
-) -> JobPage:
+) -> Response:
     """Your jobs, the newest first; everybody's for an admin key.
 
     `queue_position` is left out here; ask for a single job.
@@ -147,16 +148,17 @@ def list_jobs(
         limit=limit + 1,
     )
     page, more = records[:limit], len(records) > limit
-    return JobPage(
-        items=[job_view.show(record, service, alone=False) for record in page],
-        next_cursor=pages.encode(_age(page[-1]), page[-1].id) if more else None,
-    )
+    items = b",".join(job_view.show_json(record, service, alone=False) for record in page)
+    following = pages.encode(_age(page[-1]), page[-1].id) if more else None
+    body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())
+    return Response(body, media_type="application/json")
 
 
-@router.get("/{job_id}", operation_id="getJob", summary="Show a job")
-def get_job(job_id: str, caller: Reader, service: Services) -> Job:
+@router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
+def get_job(job_id: str, caller: Reader, service: Services) -> Response:
     """Where a job stands, how far it has come, and what it left."""
-    return job_view.show(job_view.find(job_id, caller, service), service)
+    record = job_view.find(job_id, caller, service)
+    return Response(job_view.show_json(record, service), media_type="application/json")
 
 
 @router.delete("/{job_id}", status_code=204, operation_id="deleteJob", summary="Delete a job")
@@ -177,7 +179,7 @@ def cancel_job(job_id: str, caller: Submitter, service: Services) -> Job:
     if record.state is not JobState.CANCELLED:
         job_view.check_allowed(record, "cancel")
         service.queue.cancel(job_id)
-    return get_job(job_id, caller, service)
+    return job_view.show(job_view.find(job_id, caller, service), service)
 
 
 @router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
@@ -187,7 +189,7 @@ def resume_job(job_id: str, caller: Submitter, service: Services) -> Job:
     job_view.check_allowed(record, "resume")
     _check_startable(record, service)
     service.queue.resume(job_id)
-    return get_job(job_id, caller, service)
+    return job_view.show(job_view.find(job_id, caller, service), service)
 
 
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
@@ -198,7 +200,7 @@ def retry_job(job_id: str, caller: Submitter, service: Services) -> Job:
     _check_startable(record, service)
     service.end_derived(job_id)
     service.queue.retry(job_id)
-    return get_job(job_id, caller, service)
+    return job_view.show(job_view.find(job_id, caller, service), service)
 
 
 def _submit(

@@ -27,6 +27,8 @@ from worker.storage import Storage
 LOOK_SECONDS = 0.15
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
+BATCH = 256
+"""Events sent at once to who comes late."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -104,10 +106,12 @@ class Watch:
             changed, state = self._changed, self.state
             last = self._ids[-1] if self._ids else 0
             after = 0 if after > last else after
-            for i in range(bisect_right(self._ids, after), len(self._ids)):
-                if i < len(self._ids):  # it may have begun anew while we were sending
-                    yield self._encoded[i]
-                    after = self._ids[i]
+            begin = bisect_right(self._ids, after)
+            if begin < len(self._ids):
+                batch = slice(begin, begin + BATCH)
+                encoded, after = b"".join(self._encoded[batch]), self._ids[batch][-1]
+                yield encoded
+                continue
             if state is None:
                 return
             if state is not told:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ class Storage:
 
     def events(self, job_id: str) -> EventLog:
         """The event log of a job."""
-        return EventLog(self.job_dir(job_id) / "events.jsonl")
+        return _event_log(self.root, job_id)
 
     def job_bytes(self, job_id: str) -> int:
         """Disk that a job fills [bytes]."""
@@ -122,3 +123,9 @@ class Storage:
     def remove_job(self, job_id: str) -> None:
         """Delete what a job left, if anything."""
         shutil.rmtree(self.job_dir(job_id), ignore_errors=True)
+
+
+@lru_cache(maxsize=4096)
+def _event_log(root: Path, job_id: str) -> EventLog:
+    """The event log of a job; to put its path together takes longer than to look at the file."""
+    return EventLog(root / "jobs" / job_id / "events.jsonl")
