@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 from morph_engine.digest import file_sha256
 from morph_engine.durable import replacing, wait_for
-from morph_engine.errors import MorphError, ResultError
+from morph_engine.errors import MorphError
 from worker import limited
 from worker.job import Problem, Sha256, problem_of
 from worker.priority import yield_to_others
@@ -139,10 +139,7 @@ def make_export(
     try:
         storage.make_derived_dirs(job_id)
         with limited.explaining("The export", "compute", limits, LESS):
-            try:
-                limited.run("worker.exporting", arguments, limits, hear=hear, meet=meet)
-            except limited.Broken as how:
-                raise ResultError(f"The export has broken off ({how}).", "Try it again.") from None
+            limited.run("worker.exporting", arguments, limits, hear=hear, meet=meet)
     except MorphError as error:
         problems.append(problem_of(error))
     if problems:

@@ -7,20 +7,21 @@ by a child: `python -m worker.keeping JOB_DIR`.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 from morph_engine.durable import wait_for
-from morph_engine.errors import MorphError, ResultError
+from morph_engine.errors import ResultError
 from morph_engine.spool import Spool, spool_path
 from morph_engine.trajectory import write_result
 from worker import limited
+from worker.file_child import Making, make_file, saying_why
 from worker.frames import has_unkept_frames
 from worker.settings import Settings
 from worker.storage import Storage
 
 LOCK_SECONDS = 30.0
+RESULT = Making("The result", "write", "Fetch single frames.")
 
 
 def keep_frames(result: Path) -> None:
@@ -43,38 +44,22 @@ def keep_result(storage: Storage, job_id: str, settings: Settings) -> None:
     """
     if not has_unkept_frames(storage.result_path(job_id)):
         return
-    limits = limited.Limits(
-        settings.export_memory_bytes,
-        settings.export_cpu_seconds,
-        file_bytes=settings.export_memory_bytes,
-    )
-    with limited.explaining("The result", "write", limits, "Fetch single frames."):
-        try:
-            said = limited.run("worker.keeping", [str(storage.job_dir(job_id))], limits)
-        except limited.Broken as how:
-            raise ResultError(f"The result has broken off ({how}).", "Try it again.") from None
-    if said:
-        raise ResultError(**json.loads(said))
+    make_file("worker.keeping", [str(storage.job_dir(job_id))], RESULT, settings)
 
 
 def _main() -> None:
     limited.enter()
     job_dir = Path(sys.argv[1])
     result = Storage(job_dir.parent.parent).result_path(job_dir.name)
-    try:
-        with wait_for(job_dir / "lock", LOCK_SECONDS):  # an engine may be ending
-            if has_unkept_frames(result):
-                keep_frames(result)
-    except MemoryError:
-        sys.exit(limited.OUT_OF_MEMORY)
-    except TimeoutError:
-        cause = "The engine of the job has not ended yet."
-        sys.stdout.write(json.dumps({"cause": cause, "remedy": "Ask again soon."}))
-    except OSError as error:  # the job has been deleted
-        cause = f"The result cannot be written ({error.strerror})."
-        sys.stdout.write(json.dumps({"cause": cause, "remedy": "See that the job is there."}))
-    except MorphError as error:
-        sys.stdout.write(json.dumps({"cause": error.cause, "remedy": error.remedy}))
+    with saying_why(RESULT):
+        try:
+            with wait_for(job_dir / "lock", LOCK_SECONDS):  # an engine may be ending
+                if has_unkept_frames(result):
+                    keep_frames(result)
+        except TimeoutError:
+            raise ResultError(
+                "The engine of the job has not ended yet.", "Ask again soon."
+            ) from None
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from typing import IO
 
 import psutil
 
-from morph_engine.errors import ResourceError
+from morph_engine.errors import ResourceError, ResultError
 
 ORPHANED, OUT_OF_MEMORY = 75, 77
 MOST_THREADS = 4
@@ -153,6 +153,7 @@ def explaining(what: str, to_do: str, limits: Limits, remedy: str) -> Iterator[N
 
     Raises:
         ResourceError: It takes too much memory or time.
+        ResultError: It has died otherwise.
     """
     try:
         yield
@@ -167,6 +168,8 @@ def explaining(what: str, to_do: str, limits: Limits, remedy: str) -> Iterator[N
             f"{what} is not there, because its process was killed from outside.",
             "Ask again; if it is killed again, the machine has too little memory.",
         ) from None
+    except Broken as how:
+        raise ResultError(f"{what} has broken off ({how}).", "Try it again.") from None
 
 
 def enter() -> None:

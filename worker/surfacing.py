@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.durable import replacing, wait_for
-from morph_engine.errors import MorphError, ResultError
+from morph_engine.errors import ResultError
 from morph_engine.run_record import RunRecord
 from worker import limited
+from worker.file_child import Making, make_file, saying_why
 from worker.frames import mesh_in_grid_units, read_frame, read_record
 from worker.settings import Settings
 from worker.storage import Storage
 
-LESS = "Run the job with fewer points per cell edge."
+SURFACE = Making("The surface", "compute", "Run the job with fewer points per cell edge.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,20 +80,10 @@ def compute_surface(
     """
     result, path = storage.result_path(job_id), storage.surface_path(job_id, index)
     storage.make_derived_dirs(job_id)
-    limits = limited.Limits(
-        settings.export_memory_bytes,
-        settings.export_cpu_seconds,
-        file_bytes=settings.export_memory_bytes,
-        threads=limited.MOST_THREADS,
-    )
     arguments = [str(result), str(index), str(int(finished)), str(path)]
-    with limited.explaining("The surface", "compute", limits, LESS):
-        try:
-            said = limited.run("worker.surfacing", arguments, limits, meet=meet)
-        except limited.Broken as how:
-            raise ResultError(f"The surface has broken off ({how}).", "Try it again.") from None
-    if said:
-        raise ResultError(**json.loads(said))
+    make_file(
+        "worker.surfacing", arguments, SURFACE, settings, threads=limited.MOST_THREADS, meet=meet
+    )
 
 
 def _main() -> None:
@@ -100,15 +91,8 @@ def _main() -> None:
 
     limited.enter()
     result, index, finished, path = sys.argv[1:]
-    try:
+    with saying_why(SURFACE):
         _keep(Path(result), int(index), finished == "1", Path(path))
-    except MemoryError:
-        sys.exit(limited.OUT_OF_MEMORY)
-    except OSError as error:  # the disk is full, or the job has been deleted
-        cause = f"The surface cannot be kept ({error.strerror})."
-        sys.stdout.write(json.dumps({"cause": cause, "remedy": "Free some disk space."}))
-    except MorphError as error:
-        sys.stdout.write(json.dumps({"cause": error.cause, "remedy": error.remedy}))
 
 
 def _keep(result: Path, index: int, finished: bool, path: Path) -> None:
