@@ -73,6 +73,29 @@ def test_the_camera_is_one(page, jobs, service):
     assert after[0] == after[1]
 
 
+def test_a_job_that_has_not_begun_joins_later(new_service, new_page):
+    """It has no picture at first; with its first frames it takes on camera and time."""
+    fresh = new_service()
+    page = new_page(of=fresh)
+    done = fresh.submit(name="there", method="dco", frames=4)
+    fresh.wait_for(done, "succeeded")
+    before = fresh.submit(name="in the way", frames=2000)
+    fresh.wait_for(before, "running")
+    waiting = fresh.submit(name="to come", method="dco", frames=4)
+    page.goto(f"/compare?jobs={done},{waiting}")
+    expect_frames(page, "4 of 4")
+    expect(page.locator(".scene canvas").nth(1)).to_have_attribute(
+        "aria-label", "No frame is finished yet."
+    )
+    page.locator(".scene").first.focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+    fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    expect_frames(page, "4 of 4", "4 of 4")
+    there, joined = pictures(page)
+    assert there == joined
+
+
 def test_the_scale_of_colours_is_one(compared):
     """The same colour is the same value in both."""
     compared.get_by_label("Colour", exact=True).select_option("displacement")

@@ -67,6 +67,11 @@ def changed(page: Page, before: Image.Image) -> Image.Image:
     return now
 
 
+def top(page: Page) -> float:
+    """Where the scale of colours ends."""
+    return float(page.locator(".legend-ticks").inner_text().split()[-1])
+
+
 def drawn(image: Image.Image) -> float:
     """Share of a picture that is not background."""
     background = Image.new("RGB", image.size, image.getpixel((5, image.height - 5)))
@@ -188,6 +193,26 @@ def test_colours_come_with_a_scale(opened, colour, legend):
     expect(opened.locator(".legend-label")).to_have_text(legend)
     expect(opened.locator(".legend-ticks span")).to_have_count(5)
     changed(opened, plain)
+
+
+def test_the_scale_of_colours_grows_with_a_run(new_service, new_page):
+    """What has moved far since the colours were chosen is not beyond their scale."""
+    fresh = new_service()
+    page = new_page(of=fresh)
+    job = fresh.submit(name="far", frames=MANY)
+    fresh.wait_for(job, "running")
+    page.goto(f"/jobs/{job}")
+    expect(page.locator(".scene canvas")).to_have_attribute(
+        "aria-label", re.compile("^Frame "), timeout=COMPILING * 1000
+    )
+    page.get_by_label("Colour", exact=True).select_option("displacement")
+    expect(page.locator(".legend-ticks")).to_be_visible()
+    first = top(page)
+    deadline = time.monotonic() + PATIENCE
+    while top(page) < 1.5 * first:
+        assert time.monotonic() < deadline, f"The scale still ends at {first}."
+        page.wait_for_timeout(SETTLED)
+    fresh.call("POST", f"/v1/jobs/{job}/cancel")
 
 
 def test_a_surface_and_the_target_are_shown(opened):
