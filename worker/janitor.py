@@ -40,6 +40,8 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
         if lock is None:
             continue
         try:
+            if executor not in queue.running():  # another janitor came first
+                continue
             log.warning("worker %s is gone; its jobs go back into the queue", executor)
             subprocess.run(
                 [sys.executable, "-m", "worker", "adopt", executor],

@@ -13,8 +13,9 @@ from contextlib import closing, suppress
 import psutil
 import pytest
 
+from worker.janitor import adopt_orphans
 from worker.job import JobState
-from worker.queue import new_job_id
+from worker.queue import JobQueue, new_job_id
 from worker.workers import executor_id
 
 pytestmark = [
@@ -65,6 +66,31 @@ def test_two_janitors_adopt_once(cluster, undisturbed):
     cluster.require_sound(job, undisturbed)
     log = (cluster.settings.data_dir / "processes.log").read_text()
     assert log.count("is gone; its jobs go back into the queue") == 1
+
+
+def test_a_janitor_that_comes_too_late_adopts_nothing(cluster, monkeypatch):
+    """It saw the dead worker's job before another janitor adopted it, and locked after that."""
+
+    class Interrupted(JobQueue):
+        seen = 0
+
+        def running(self) -> dict[str, set[str]]:
+            found = super().running()
+            self.seen += 1
+            if self.seen == 1:
+                assert adopt_orphans(cluster.settings, cluster.queue) == [executor_id(0)]
+            return found
+
+    worker = cluster.worker(0)
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    worker.kill()
+    worker.wait()
+    for name, value in cluster.environment.items():
+        monkeypatch.setenv(name, value)
+    with closing(Interrupted(cluster.settings)) as queue:
+        assert adopt_orphans(cluster.settings, queue) == []
+    assert cluster.job(job).state is JobState.QUEUED
 
 
 def test_duplicate_executor(cluster):
