@@ -13,6 +13,7 @@ import time
 from worker import workers
 from worker.settings import Settings
 
+LOOK_SECONDS = 0.05
 HEARTBEAT_SECONDS = 4.0
 ADOPTION_PATIENCE_SECONDS = 10.0
 """A worker that comes back waits so long for a janitor that adopts its jobs under its name."""
@@ -25,8 +26,8 @@ def main() -> None:
     slot = commands.add_parser("run", help="work on jobs, one at a time")
     slot.add_argument("--slot", type=int, default=0, help="number of this slot on this machine")
     commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
-    adopt = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
-    adopt.add_argument("executor")
+    adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
+    adoption.add_argument("executor")
     commands.add_parser("migrate", help="create or upgrade the tables")
     arguments = parser.parse_args()
     logging.basicConfig(
@@ -40,14 +41,23 @@ def main() -> None:
 
         janitor.run(settings)
     elif arguments.command == "adopt":
-        from worker.workflow import launch
-
-        launch(settings, arguments.executor, listen=False)
-        os._exit(0)
+        adopt(settings, arguments.executor)
     else:
         from worker.queue import JobQueue
 
         JobQueue(settings).migrate()
+
+
+def adopt(settings: Settings, executor: str) -> None:
+    """Queue the jobs again that a worker left, under its name; the caller holds its lock."""
+    from worker.queue import JobQueue
+    from worker.workflow import launch
+
+    launch(settings, executor, listen=False)  # DBOS queues them in a thread of its own
+    queue = JobQueue(settings)
+    while executor in queue.running():
+        time.sleep(LOOK_SECONDS)
+    os._exit(0)
 
 
 def run_slot(settings: Settings, executor: str) -> None:
