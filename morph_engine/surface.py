@@ -52,7 +52,8 @@ class Surface:
     """A triangle mesh, counter-clockwise seen from outside.
 
     Attributes:
-        vertices: Corner positions [dx], shape [V, 3], float64.
+        vertices: Corner positions [dx], shape [V, 3], float64; those of `surface` are float32
+            numbers.
         faces: Vertex indices, shape [F, 3], int32.
     """
 
@@ -136,9 +137,10 @@ def surface(positions: npt.ArrayLike, spacing: float, *, smoothing: int = SMOOTH
         mesh_smoothing_weights=True,
         multi_threading=False,  # with threads, no two runs give the same bits
     )
-    vertices = np.asarray(found.mesh.vertices, np.float64)
-    faces = np.asarray(found.mesh.triangles).astype(np.int32)  # type: ignore[union-attr]
-    whole = Surface(vertices, faces)
+    # smoothing adds up in any order, which the last bits of float64 tell; float32 is without them
+    vertices = np.asarray(found.mesh.vertices, np.float32).astype(np.float64)
+    faces = np.asarray(found.mesh.triangles)  # type: ignore[union-attr]
+    whole = _in_order(vertices, faces)
     kept = _without_specks(whole, spacing**2) if len(faces) else whole
     if not len(kept.faces):
         raise MeshError("The particles enclose no volume.", "Choose another frame.")
@@ -162,6 +164,17 @@ def deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
     there = _statistics(surface.vertices, surface.faces, target_mesh.vertices, target_mesh.faces)
     back = _statistics(target_mesh.vertices, target_mesh.faces, surface.vertices, surface.faces)
     return there | {f"{name}_back": value for name, value in back.items()}
+
+
+def _in_order(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]) -> Surface:
+    """Sort vertices, each face's corners and the faces, which are found in any order."""
+    order = np.lexsort(vertices.T)
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    corners = rank[faces]
+    turns = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    corners = np.take_along_axis(corners, turns, axis=1)
+    return Surface(vertices[order], corners[np.lexsort(corners.T)])
 
 
 def _without_specks(surface: Surface, least_area: float) -> Surface:

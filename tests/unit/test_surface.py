@@ -7,7 +7,7 @@ from morph_engine.errors import MeshError
 from morph_engine.mesh import make_mesh
 from morph_engine.sampling import fit_to_domain, sample_lattice
 from morph_engine.shapes import resolve_shape
-from morph_engine.surface import Surface, _without_specks, deviation, surface
+from morph_engine.surface import Surface, _in_order, _without_specks, deviation, surface
 
 H = 0.5
 
@@ -34,6 +34,27 @@ def test_lost_particles_change_nothing(lattice_ball):
     found, expected = surface(np.concatenate([ball, lost]), H), surface(ball, H)
     np.testing.assert_array_equal(found.vertices, expected.vertices)
     np.testing.assert_array_equal(found.faces, expected.faces)
+
+
+def test_a_frame_has_one_surface(lattice_ball):
+    """Twice the same particles give the same surface, to the bit and in the same order."""
+    ball = lattice_ball(6.0, H)
+    once, again = surface(ball, H), surface(ball, H)
+    np.testing.assert_array_equal(once.vertices, again.vertices)
+    np.testing.assert_array_equal(once.faces, again.faces)
+
+
+def test_the_order_of_a_surface_is_its_own(lattice_ball):
+    """However its vertices, its faces and their corners come, it is the same surface, as closed."""
+    rng = np.random.default_rng(7)
+    found = surface(lattice_ball(3.0, H), H)
+    new_number = rng.permutation(len(found.vertices))
+    corners = np.array([np.roll(face, turn) for turn, face in enumerate(new_number[found.faces])])
+    shuffled = _in_order(found.vertices[np.argsort(new_number)], rng.permutation(corners))
+    np.testing.assert_array_equal(shuffled.vertices, found.vertices)
+    np.testing.assert_array_equal(shuffled.faces, found.faces)
+    assert shuffled.watertight
+    assert shuffled.volume == found.volume
 
 
 def test_bodies_and_their_shares(lattice_ball):
