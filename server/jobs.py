@@ -179,7 +179,7 @@ def cancel_job(job_id: str, caller: Submitter, service: Services) -> Job:
     if record.state is not JobState.CANCELLED:
         job_view.check_allowed(record, "cancel")
         service.queue.cancel(job_id)
-    return job_view.show(job_view.find(job_id, caller, service), service)
+    return _show(job_id, caller, service)
 
 
 @router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
@@ -189,7 +189,7 @@ def resume_job(job_id: str, caller: Submitter, service: Services) -> Job:
     job_view.check_allowed(record, "resume")
     _check_startable(record, service)
     service.queue.resume(job_id)
-    return job_view.show(job_view.find(job_id, caller, service), service)
+    return _show(job_id, caller, service)
 
 
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
@@ -200,7 +200,7 @@ def retry_job(job_id: str, caller: Submitter, service: Services) -> Job:
     _check_startable(record, service)
     service.end_derived(job_id)
     service.queue.retry(job_id)
-    return job_view.show(job_view.find(job_id, caller, service), service)
+    return _show(job_id, caller, service)
 
 
 def _submit(
@@ -245,6 +245,11 @@ async def _with_files(
         await anyio.to_thread.run_sync(service.limits.check_meshes, caller.name)
         await keep(list(form.files.values()), caller, service)
     return wanted
+
+
+def _show(job_id: str, caller: Caller, service: Service) -> Job:
+    """A job as it is now."""
+    return job_view.show(job_view.find(job_id, caller, service), service)
 
 
 def _check_startable(record: JobRecord, service: Service) -> None:

@@ -15,6 +15,7 @@ from worker.settings import Settings
 
 LOOK_SECONDS = 0.05
 HEARTBEAT_SECONDS = 4.0
+ADOPTION_LIMIT_SECONDS = 60
 ADOPTION_PATIENCE_SECONDS = 10.0
 """A worker that comes back waits so long for a janitor that adopts its jobs under its name."""
 
@@ -49,7 +50,11 @@ def main() -> None:
 
 
 def adopt(settings: Settings, executor: str) -> None:
-    """Queue the jobs again that a worker left, under its name; the caller holds its lock."""
+    """Queue the jobs again that a worker left, under its name; the caller holds its lock.
+
+    It ends by a signal where it takes too long, whether or not the caller still lives.
+    """
+    signal.alarm(ADOPTION_LIMIT_SECONDS)
     from worker.queue import JobQueue
     from worker.workflow import launch
 

@@ -107,7 +107,7 @@ class Storage:
 
     def events(self, job_id: str) -> EventLog:
         """The event log of a job."""
-        return _event_log(self.root, job_id)
+        return _event_log(self, job_id)
 
     def job_bytes(self, job_id: str) -> int:
         """Disk that a job fills [bytes]."""
@@ -126,6 +126,6 @@ class Storage:
 
 
 @lru_cache(maxsize=4096)
-def _event_log(root: Path, job_id: str) -> EventLog:
+def _event_log(storage: Storage, job_id: str) -> EventLog:
     """The event log of a job; to put its path together takes longer than to look at the file."""
-    return EventLog(root / "jobs" / job_id / "events.jsonl")
+    return EventLog(storage.job_dir(job_id) / "events.jsonl")

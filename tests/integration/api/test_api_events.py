@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 
+from server.watch import BATCH
 from tests.integration.api.conftest import Api
 
 STREAM = {"Accept": "text/event-stream"}
@@ -63,6 +64,18 @@ def test_a_stream_resumes_behind_the_last_event(api: Api) -> None:
     streamed = list(_events(api.http.get(path, headers=STREAM).iter_lines()))
     polled = api.http.get(path).json()["items"]
     assert [event for event in streamed if event["type"] != "state"] == polled
+
+
+def test_who_comes_late_gets_everything_in_order(api: Api) -> None:
+    """More events than are sent at once: each of them arrives, once, before the final state."""
+    job = api.submit()["id"]
+    count = 2 * BATCH + 88
+    _log(api, job, "attempt", *["frame"] * (count - 1))
+    api.http.post(f"/v1/jobs/{job}/cancel")
+    answer = api.http.get(f"/v1/jobs/{job}/events", headers=STREAM)
+    *logged, last = _events(answer.iter_lines())
+    assert [event["id"] for event in logged] == list(range(1, count + 1))
+    assert (last["id"], last["data"]) == (count, {"state": "cancelled"})
 
 
 def test_fifty_watchers_share_one_look(api: Api) -> None:
