@@ -18,6 +18,8 @@ from worker.storage import Storage
 log = logging.getLogger(__name__)
 
 FINISHED = [state for state in JobState if state.finished]
+ADOPTION_LIMIT_SECONDS = 70.0
+"""After this an adoption is killed; it ends itself sooner, unless somebody has stopped it."""
 RETENTION_SECONDS = 60.0
 ABANDONED_SECONDS = 3600.0
 """An upload that has not grown for so long belongs to nobody: its API was killed."""
@@ -42,7 +44,10 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
             if executor not in queue.running():  # another janitor came first
                 continue
             log.warning("worker %s is gone; its jobs go back into the queue", executor)
-            subprocess.run([sys.executable, "-m", "worker", "adopt", executor], check=True)
+            subprocess.run(
+                [sys.executable, "-m", "worker", "adopt", executor],
+                timeout=ADOPTION_LIMIT_SECONDS, check=True,
+            )  # fmt: skip
             dead.append(executor)
         finally:
             lock.release()
