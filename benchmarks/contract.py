@@ -15,9 +15,9 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.service.place import Place
-from server.keyring import Keyring
-from server.tables import create
-from worker.queue import database
+from chamfer_morph.server.database.api_keys import Keyring
+from chamfer_morph.server.database.tables import create
+from chamfer_morph.worker.queue import database
 
 CONTRACT = Path(__file__).resolve().parents[1] / "openapi"
 

@@ -97,7 +97,7 @@ def inspect(case: Case, folder: Path) -> Outcome:
     started = time.perf_counter()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "client", "inspect", str(path)],
+            [sys.executable, "-m", "chamfer_morph", "inspect", str(path)],
             cwd=ROOT, stdout=output, stderr=subprocess.STDOUT,
         )  # fmt: skip
         timer = threading.Timer(PATIENCE_SECONDS, process.kill)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.rows import Row, limit
-from morph_engine.spool import spool_path
+from morph_engine.results.spool import spool_path
 
 GIGABYTE = 1e9
 KILOBYTE = 1 if sys.platform == "darwin" else 1024  # unit of ru_maxrss
@@ -67,7 +67,7 @@ def run(options: list[str], environment: dict[str, str] | None = None) -> Run:
         arguments = ["run", "sphere", "torus", f"--out={out}", "--device=cpu", "--quiet", *options]
         start = time.perf_counter()
         process = subprocess.Popen(
-            [sys.executable, "-m", "client", *arguments],
+            [sys.executable, "-m", "chamfer_morph", *arguments],
             stdout=subprocess.DEVNULL,
             env={**os.environ, **(environment or {})},
         )

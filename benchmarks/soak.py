@@ -28,7 +28,7 @@ import httpx
 import numpy as np
 import psutil
 
-from morph_engine.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory
 
 KINDS = {
     "worker": ["worker", "run"],
@@ -58,7 +58,7 @@ class Service:
         own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
         with (self.data_dir / "service.log").open("ab") as log:
             self.supervisor = subprocess.Popen(
-                [sys.executable, "-m", "server", "serve"],
+                [sys.executable, "-m", "chamfer_morph.server", "serve"],
                 env=own
                 | {
                     "MORPH_DATA_DIR": str(self.data_dir),
@@ -156,7 +156,7 @@ def undisturbed(folder: Path, frame_count: int) -> np.ndarray:
     """Positions of the job when nothing disturbs it."""
     out = folder / "undisturbed.vtkhdf"
     subprocess.run(
-        [sys.executable, "-m", "client", "run", "sphere", "star", "--method", "joint",
+        [sys.executable, "-m", "chamfer_morph", "run", "sphere", "star", "--method", "joint",
          "--points-per-cell-edge", "1", "--frames", str(frame_count), "--device", "cpu",
          "--out", out, "--quiet"],
         check=True, stdout=subprocess.DEVNULL,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import httpx
 
-from client.partial_file import PartialFile
-from client.retry import Attempts
-from client.service_error import strange_answer
-from client.transport import Call, Reply, Transport
+from chamfer_morph.client.connection import Call, Reply, Transport
+from chamfer_morph.client.errors import strange_answer
+from chamfer_morph.client.partial_file import PartialFile
+from chamfer_morph.client.retry import Attempts
 from morph_engine.errors import ResultError
 
 _NO_SUCH_RANGE = 416

@@ -1,101 +1,89 @@
-"""How a command ends: its exit status, and what a user reads when something is wrong."""
+"""What the service refused, or that it cannot be reached, as a cause and a remedy."""
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import sys
-from collections.abc import Callable
-from importlib import metadata
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from client.service_error import ServiceError
 from morph_engine.errors import MorphError
 
-UNEXPECTED, BAD_INPUT = 1, 2
+if TYPE_CHECKING:
+    import httpx
+
+REFUSED, UNREACHABLE = 2, 3
+
+NO_KEY = 401
+
+_REMEDIES = {
+    NO_KEY: "Give a key with --key or MORPH_KEY; morph keys create makes one.",
+    403: "Use a key that may do this.",
+    404: "Look it up with morph jobs.",
+    413: "Send less at a time.",
+    429: "Try again later.",
+}
 
 
-def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool) -> int:
-    """Run a command to its exit status; whatever it raises becomes a message, not a traceback.
+class ServiceError(MorphError):
+    """The service refused what was asked, or failed at it.
 
     Args:
-        command: The command; returns its exit status, None for success.
-        as_json: Report errors as one JSON object on standard output too.
-        debug: Let an unexpected exception through with its traceback.
-
-    Returns:
-        0, or 2 for input a user can mend, 3 without the service, 1 for a fault of the program.
+        cause: One sentence that says what is wrong.
+        remedy: One sentence that says what to do about it.
+        status: HTTP status; None without an answer.
     """
-    problem: MorphError
-    try:
-        return command() or 0
-    except ServiceError as error:
-        problem, status = error, error.exit_status
-    except MorphError as error:
-        problem, status = error, BAD_INPUT
-    except typer.TyperException as error:
-        problem, status = _usage(error), BAD_INPUT
-    except BrokenPipeError:
-        # whoever read our output has enough; keep the interpreter's last flush quiet
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except MemoryError:
-        problem = MorphError(
-            "There is not enough memory for this.",
-            "Use fewer points per cell edge, or free memory.",
-        )
-        status = BAD_INPUT
-    except Exception as error:
-        if debug:
-            raise
-        problem, status = _fault(error), UNEXPECTED
-    if as_json:
-        print_json(error_document(problem))
-    sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
-    return status
+
+    def __init__(self, cause: str, remedy: str, status: int | None = None) -> None:
+        super().__init__(cause, remedy)
+        self.status = status
+
+    @property
+    def exit_status(self) -> int:
+        """2 if the user can mend it, 3 if the service does not serve."""
+        return REFUSED if self.status is not None and self.status < 500 else UNREACHABLE
 
 
-def error_document(error: MorphError) -> dict[str, dict[str, str]]:
-    """An error as the JSON that every command prints for it."""
-    return {"error": {"cause": error.cause, "remedy": error.remedy}}
+def refusal(response: httpx.Response) -> ServiceError:
+    """The error that an answer with a status of 400 and above stands for."""
+    status = response.status_code
+    document = _problem(response)
+    detail = document.get("detail") or document.get("title")
+    cause = _sentence(detail or f"The service answered {status} {response.reason_phrase}")
+    remedy = _REMEDIES[NO_KEY] if status == NO_KEY else document.get("remedy")
+    remedy = remedy or _REMEDIES.get(status) or _general_remedy(status)
+    return ServiceError(cause, _sentence(remedy), status)
 
 
-def print_json(document: object) -> None:
-    """Write one JSON object to standard output; non-finite numbers become null."""
-    text = json.dumps(_finite(document), indent=2)
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not abs(value) < float("inf"):
-        return None
-    return value
-
-
-def _usage(error: typer.TyperException) -> MorphError:
-    context = getattr(error, "ctx", None)
-    command = context.command_path if context else "morph"
-    return MorphError(f"{error.format_message().rstrip('.')}.", f"See {command} --help.")
-
-
-def _fault(error: Exception) -> MorphError:
-    frame = error.__traceback__
-    while frame and frame.tb_next:
-        frame = frame.tb_next
-    place = ""
-    if frame:
-        code = frame.tb_frame.f_code
-        place = f" in {os.path.basename(code.co_filename)}, line {frame.tb_lineno}"
-    version = metadata.version("chamfer-morph")
-    return MorphError(
-        f"This is a fault of the program: {type(error).__name__}: {error}{place}.",
-        f"Please report that line, your command, chamfer-morph {version}, Python "
-        f"{platform.python_version()} and {platform.platform()}; --debug shows the traceback.",
+def unreachable(server: str, error: Exception) -> ServiceError:
+    """The error for a service that does not answer."""
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return ServiceError(
+        f"There is no answer from {server} ({reason.rstrip('.')}).",
+        "Start the service with morph serve, or name another one with --server or MORPH_SERVER.",
     )
+
+
+def strange_answer(server: str) -> ServiceError:
+    """The error for an answer that is not of this service."""
+    return ServiceError(
+        f"What answers at {server} is not this version of the morph service.",
+        "Check the address in --server or MORPH_SERVER.",
+    )
+
+
+def _problem(response: httpx.Response) -> dict[str, Any]:
+    """The problem document of an answer, empty if a proxy or something else wrote it."""
+    if "json" not in response.headers.get("content-type", ""):
+        return {}
+    try:
+        document = response.json()
+    except ValueError:
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def _general_remedy(status: int) -> str:
+    return "Try again later; the log of the service has more." if status >= 500 else "Change it."
+
+
+def _sentence(text: object) -> str:
+    line = " ".join(str(text).split())
+    return line if line.endswith((".", "!", "?")) else f"{line}."

@@ -8,7 +8,7 @@ from email.utils import parsedate_to_datetime
 
 import httpx
 
-from client.service_error import refusal, unreachable
+from chamfer_morph.client.errors import refusal, unreachable
 
 USUAL = 5
 """Attempts of a single call: a few seconds, enough for a restart of the service."""

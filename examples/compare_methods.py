@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from morph_engine import configure, morph
-from morph_engine.rendering import picture
+from morph_engine.rendering.pictures import picture
 
 NUMBERS = ("two_sided", "iou", "many_to_one", "overlap_h10", "rho_p95")
 

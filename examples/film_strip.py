@@ -14,9 +14,9 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 
-from morph_engine.rendering import height_colors, look
-from morph_engine.trajectory import Trajectory
-from reproduction.particles import film_strip
+from chamfer_morph.reproduction.particles import film_strip
+from morph_engine.rendering.pictures import height_colors, look
+from morph_engine.results.trajectory import Trajectory
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from morph_engine import configure, morph
 from morph_engine.export import export
-from morph_engine.rendering import video
+from morph_engine.rendering.pictures import video
 
 
 def main() -> None:

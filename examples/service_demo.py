@@ -19,15 +19,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from client.api import MorphClient
-from client.display import clock
-from client.job_view import print_end
+from chamfer_morph.cli.display import clock
+from chamfer_morph.cli.job_tables import print_end
+from chamfer_morph.client.client import MorphClient
 
 
 @contextmanager
 def serving(data_dir: Path) -> Iterator[str]:
     """A service on this machine; yields its address."""
-    command = [sys.executable, "-m", "client", "serve", "--port", "0", "--data-dir", str(data_dir)]
+    command = [
+        sys.executable,
+        "-m",
+        "chamfer_morph",
+        "serve",
+        "--port",
+        "0",
+        "--data-dir",
+        str(data_dir),
+    ]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:

@@ -14,18 +14,18 @@ from morph_engine.errors import MorphError
 
 if TYPE_CHECKING:
     from morph_engine.config import MorphConfig
-    from morph_engine.mesh import Mesh, load_mesh
+    from morph_engine.geometry.mesh import Mesh, load_mesh
     from morph_engine.morphing import Frame, morph
     from morph_engine.presets import configure
-    from morph_engine.trajectory import Trajectory
+    from morph_engine.results.trajectory import Trajectory
 
 _HOMES = {
     "Frame": "morphing",
-    "Mesh": "mesh",
+    "Mesh": "geometry.mesh",
     "MorphConfig": "config",
-    "Trajectory": "trajectory",
+    "Trajectory": "results.trajectory",
     "configure": "presets",
-    "load_mesh": "mesh",
+    "load_mesh": "geometry.mesh",
     "morph": "morphing",
 }
 

@@ -21,24 +21,24 @@ from morph_engine import backend, methods
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import MeshError, ResourceError
-from morph_engine.events import Event
-from morph_engine.fill import fill_metrics, outside_metrics
-from morph_engine.ingest import check_mesh
-from morph_engine.mesh import Mesh
-from morph_engine.methods import FrameOutcome, Method, Problem
-from morph_engine.metrics import chamfer_metrics, deformation_metrics, determinants
-from morph_engine.presets import configure
-from morph_engine.run_record import Geometry, RunRecord
-from morph_engine.sampling import (
+from morph_engine.geometry.ingest import check_mesh
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.sampling import (
     MINIMUM_PARTICLES,
     Jitter,
     Similarity,
     fit_to_domain,
     sample_lattice,
 )
-from morph_engine.shapes import resolve_shape
-from morph_engine.spool import Spool
-from morph_engine.trajectory import write_result
+from morph_engine.geometry.shapes import resolve_shape
+from morph_engine.methods import FrameOutcome, Method, Problem
+from morph_engine.metrics.fill import fill_metrics, outside_metrics
+from morph_engine.metrics.point_metrics import chamfer_metrics, deformation_metrics, determinants
+from morph_engine.optimization.events import Event
+from morph_engine.presets import configure
+from morph_engine.results.run_record import Geometry, RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import write_result
 
 Shape = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""

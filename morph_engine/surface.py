@@ -20,9 +20,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from morph_engine.errors import MeshError
-from morph_engine.mesh import Mesh
-from morph_engine.metrics import finite_points
-from morph_engine.topology import signed_volume
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.topology import signed_volume
+from morph_engine.metrics.point_metrics import finite_points
 
 __all__ = ["Surface", "deviation", "surface"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from reproduction.experiment import Experiment, Row
-from reproduction.experiments import PAIR_NAMES, SEEDS, converged, morph
-from reproduction.run import Run
+from chamfer_morph.reproduction.experiment import Experiment, Row
+from chamfer_morph.reproduction.experiments import PAIR_NAMES, SEEDS, converged, morph
+from chamfer_morph.reproduction.run import Run
 
 PAIRS = (*PAIR_NAMES, *(("Sphere", target) for target in ("Dragon", "Heart", "C", "E", "V")))
 """The paper's 20 pairs, and its sphere to the other shapes."""

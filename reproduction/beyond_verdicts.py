@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from statistics import median
 
-from reproduction.tables import Table, distance_from_ideal
+from chamfer_morph.reproduction.tables import Table, distance_from_ideal
 
 Bound = tuple[str, str, Callable[[float], bool]]
 

@@ -12,10 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from morph_engine.metrics import METRICS
-from reproduction.printed import SHAPES, TARGETS
-from reproduction.store import Record
-from reproduction.tables import Line, Table
+from chamfer_morph.reproduction.printed import SHAPES, TARGETS
+from chamfer_morph.reproduction.store import Record
+from chamfer_morph.reproduction.tables import Line, Table
+from morph_engine.metrics.point_metrics import METRICS
 
 # Okabe and Ito: told apart by readers with any common colour vision
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from morph_engine.fill import density_ratio
-from morph_engine.rendering import height_colors, look
-from reproduction.charts import BLACK, VERMILION, style
-from reproduction.particles import film_strip
-from reproduction.run import Run
-from reproduction.store import Store
+from chamfer_morph.reproduction.charts import BLACK, VERMILION, style
+from chamfer_morph.reproduction.particles import film_strip
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Store
+from morph_engine.metrics.fill import density_ratio
+from morph_engine.rendering.pictures import height_colors, look
 
 Array = NDArray[np.float64]
 

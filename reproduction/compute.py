@@ -1,4 +1,4 @@
-"""One run in a process of its own: `python -m reproduction.compute RUN RESULTS MESHES THREADS`.
+"""One run in a process of its own, with the arguments RUN RESULTS MESHES THREADS.
 
 RUN is a `Run` as JSON. An unfinished run goes on after its last finished frame. The process ends
 when its standard input does, which is when whoever started it is gone.
@@ -12,14 +12,14 @@ import threading
 import time
 from pathlib import Path
 
+from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Record, Store, measured
 from morph_engine import morphing
 from morph_engine.errors import MorphError, ResultError
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool
-from morph_engine.trajectory import Trajectory
-from reproduction.meshes import MeshFolder
-from reproduction.run import Run
-from reproduction.store import Record, Store, measured
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import Trajectory
 
 
 def compute(run: Run, store: Store, meshes: MeshFolder, *, threads: int) -> Record:

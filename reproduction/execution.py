@@ -16,10 +16,10 @@ from pathlib import Path
 
 import psutil
 
-from morph_engine.spool import finished_frames
-from reproduction.meshes import MeshFolder
-from reproduction.run import Run
-from reproduction.store import Record, Store
+from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Record, Store
+from morph_engine.results.spool import finished_frames
 
 POLL_SECONDS = 0.2
 LOG_TAIL_BYTES = 600
@@ -131,7 +131,7 @@ def _start(run: Run, store: Store, meshes: MeshFolder, threads: int) -> subproce
     arguments = [run.model_dump_json(), str(store.folder), str(meshes.path), str(threads)]
     with store.log_path(run).open("wb") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "reproduction.compute", *arguments],
+            [sys.executable, "-m", "chamfer_morph.reproduction.compute", *arguments],
             stdin=subprocess.PIPE,  # its end tells the process that we are gone
             stdout=log,
             stderr=subprocess.STDOUT,

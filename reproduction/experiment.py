@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from reproduction.run import Run
+from chamfer_morph.reproduction.run import Run
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from reproduction.experiment import Experiment, Row
-from reproduction.meshes import ASSETS
-from reproduction.printed import CHAMFER, SHAPES, TARGETS
-from reproduction.run import Run
+from chamfer_morph.reproduction.experiment import Experiment, Row
+from chamfer_morph.reproduction.meshes import ASSETS
+from chamfer_morph.reproduction.printed import CHAMFER, SHAPES, TARGETS
+from chamfer_morph.reproduction.run import Run
 
 SEEDS = (42, 43, 44)
 """Of repeated runs; the first is that of all others."""

@@ -11,10 +11,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from PIL import Image
 
-from morph_engine.durable import replacing
-from morph_engine.errors import ResultError
-from reproduction import charts
-from reproduction.clouds import (
+from chamfer_morph.reproduction import charts
+from chamfer_morph.reproduction.clouds import (
     Cloud,
     cross_sections,
     densities,
@@ -23,10 +21,12 @@ from reproduction.clouds import (
     source_cloud,
     target_cloud,
 )
-from reproduction.printed import TARGETS
-from reproduction.run import Run
-from reproduction.store import Store
-from reproduction.tables import Table
+from chamfer_morph.reproduction.printed import TARGETS
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Store
+from chamfer_morph.reproduction.tables import Table
+from morph_engine.errors import ResultError
+from morph_engine.files import replacing
 
 DOTS_PER_INCH = 200
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from reproduction.figures import Picture
-from reproduction.report import PAPER, TITLE
-from reproduction.section import Entry, Grid, Section, Source
+from chamfer_morph.reproduction.figures import Picture
+from chamfer_morph.reproduction.report import PAPER, TITLE
+from chamfer_morph.reproduction.section import Entry, Grid, Section, Source
 
 INTRODUCTION = (
     f"*{PAPER}*: every table and figure, with what the paper prints, what the published program "

@@ -11,8 +11,8 @@ import numpy as np
 
 from morph_engine.digest import file_sha256
 from morph_engine.errors import MeshError
-from morph_engine.mesh import load_mesh
-from morph_engine.shapes import make
+from morph_engine.geometry.mesh import load_mesh
+from morph_engine.geometry.shapes import make
 
 SUFFIX = ".obj"
 TOLERANCE = 0.02

@@ -9,15 +9,15 @@ from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 
-from morph_engine.durable import replacing
+from chamfer_morph.reproduction.catalog import Subject
+from chamfer_morph.reproduction.experiment import Experiment
+from chamfer_morph.reproduction.markdown import markdown
+from chamfer_morph.reproduction.report import report
+from chamfer_morph.reproduction.section import Section, section_of
+from chamfer_morph.reproduction.store import Record, Store
+from chamfer_morph.reproduction.tables import tabulate
 from morph_engine.errors import ResultError
-from reproduction.catalogue import Subject
-from reproduction.experiment import Experiment
-from reproduction.markdown import markdown
-from reproduction.report import report
-from reproduction.section import Section, section_of
-from reproduction.store import Record, Store
-from reproduction.tables import tabulate
+from morph_engine.files import replacing
 
 
 @dataclass(frozen=True)

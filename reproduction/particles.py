@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.rendering import PARTICLE_RADIUS_OVER_H, Camera, picture
+from morph_engine.rendering.pictures import PARTICLE_RADIUS_OVER_H, Camera, picture
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def film_strip(
         clouds: Positions [dx], each of shape [n, 3].
         colors: One colour per particle, shape [n, 3], 0 to 1.
         radius: Radius of a particle [dx].
-        view: Rotation from the domain to the eye, shape [3, 3], see `morph_engine.rendering.look`.
+        view: Rotation from the domain to the eye, shape [3, 3], see `rendering.pictures.look`.
         pixels: Edge of one square panel.
         half_extent: What a panel shows, from its centre to its edge [dx].
 

@@ -1,11 +1,11 @@
-"""Draw the pictures of docs/propositions.md: `python -m reproduction.pictures docs/images`."""
+"""Draw the pictures of docs/propositions.md into the folder that is given."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from reproduction import planar, propositions
+from chamfer_morph.reproduction import planar, propositions
 
 DOTS_PER_INCH = 120
 

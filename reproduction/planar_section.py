@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
-from reproduction.figures import Picture, save
-from reproduction.planar import PlanarRow, PlanarRun, figure, rows, run_all
-from reproduction.section import Entry, Grid, Section, Source
-from reproduction.tables import VERSION, exact, shown, shown_difference
+from chamfer_morph.reproduction.figures import Picture, save
+from chamfer_morph.reproduction.planar import PlanarRow, PlanarRun, figure, rows, run_all
+from chamfer_morph.reproduction.section import Entry, Grid, Section, Source
+from chamfer_morph.reproduction.tables import VERSION, exact, shown, shown_difference
 
 COLUMNS = ("cd", "coverage", "cluster_02", "cluster_005", "targets_used", "crowded", "unevenness")
 PRINTED = ("cd", "coverage", "cluster_02")

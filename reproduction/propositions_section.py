@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 
-from reproduction.figures import Picture, save
-from reproduction.propositions import Check, Quantity, all_checks, figure
-from reproduction.section import Entry, Grid, Section
-from reproduction.tables import VERSION
+from chamfer_morph.reproduction.figures import Picture, save
+from chamfer_morph.reproduction.propositions import Check, Quantity, all_checks, figure
+from chamfer_morph.reproduction.section import Entry, Grid, Section
+from chamfer_morph.reproduction.tables import VERSION
 
 HOLDS, FAILS = "holds", "fails"
 LIMIT, NO_LIMIT = "does not apply", "applies nevertheless"

@@ -6,8 +6,8 @@ import base64
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from reproduction.figures import Picture
-from reproduction.section import Entry, Grid, Section, Source
+from chamfer_morph.reproduction.figures import Picture
+from chamfer_morph.reproduction.section import Entry, Grid, Section, Source
 
 TITLE = "The paper, reproduced"
 PAPER = "On the Structural Failure of Chamfer Distance in 3D Shape Optimization"

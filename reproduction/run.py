@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from chamfer_morph.reproduction.meshes import MeshFolder, particle_count
 from morph_engine.config import MorphConfig
 from morph_engine.presets import configure
-from reproduction.meshes import MeshFolder, particle_count
 
 CONTROLLED = ("physics", "joint")
 """Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from reproduction.figures import Picture, draw_all
-from reproduction.store import Record, Store
-from reproduction.tables import VERSION, Line, Table, shown, shown_difference
-from reproduction.verdicts import verdict
+from chamfer_morph.reproduction.figures import Picture, draw_all
+from chamfer_morph.reproduction.store import Record, Store
+from chamfer_morph.reproduction.tables import VERSION, Line, Table, shown, shown_difference
+from chamfer_morph.reproduction.verdicts import verdict
 
 METRIC_NAMES = {
     "s2t": "s→t",

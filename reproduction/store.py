@@ -15,14 +15,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from chamfer_morph.reproduction.run import Run
 from morph_engine.config import MorphConfig
-from morph_engine.durable import replacing
 from morph_engine.errors import ResultError
-from morph_engine.mesh import Mesh
-from morph_engine.run_record import software_versions
+from morph_engine.files import replacing
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.results.run_record import software_versions
+from morph_engine.results.trajectory import Trajectory
 from morph_engine.surface import deviation, surface
-from morph_engine.trajectory import Trajectory
-from reproduction.run import Run
 
 CURVES = (
     "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "overlap_h10", "many_to_one",
@@ -41,7 +41,7 @@ CURVE_DIGITS = 6
 class Record(BaseModel):
     """What a run has come to.
 
-    Units are those of `morph_engine.metrics.METRICS`.
+    Units are those of `morph_engine.metrics.point_metrics.METRICS`.
     """
 
     model_config = ConfigDict(frozen=True, ser_json_inf_nan="constants")

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from reproduction.planar_section import planar_section
-from reproduction.propositions_section import propositions_section
-from reproduction.section import Section
+from chamfer_morph.reproduction.planar_section import planar_section
+from chamfer_morph.reproduction.propositions_section import propositions_section
+from chamfer_morph.reproduction.section import Section
 
 
 @dataclass(frozen=True)

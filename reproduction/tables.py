@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from morph_engine.metrics import METRICS
-from reproduction import printed
-from reproduction.experiment import Experiment, Row
-from reproduction.store import Record
+from chamfer_morph.reproduction import printed
+from chamfer_morph.reproduction.experiment import Experiment, Row
+from chamfer_morph.reproduction.store import Record
+from morph_engine.metrics.point_metrics import METRICS
 
 COLUMNS = (
     "row", "metric", "printed", "published_program", "ours", "standard_deviation", "repeats",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from reproduction import beyond_verdicts
-from reproduction.printed import CLAIMS, TARGETS
-from reproduction.tables import Table, distance_from_ideal
+from chamfer_morph.reproduction import beyond_verdicts
+from chamfer_morph.reproduction.printed import CLAIMS, TARGETS
+from chamfer_morph.reproduction.tables import Table, distance_from_ideal
 
 Verdict = Callable[[Table], list[str]]
 

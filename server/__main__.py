@@ -1,4 +1,4 @@
-"""Processes of the server room: `python -m server api | serve | check | openapi | keys`."""
+"""Processes of the server: `python -m chamfer_morph.server api|serve|check|openapi|keys`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import socket
 import sys
 from typing import TYPE_CHECKING
 
+from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import MorphError
-from worker.settings import Settings
 
 if TYPE_CHECKING:
-    from server.keyring import Keyring
+    from chamfer_morph.server.database.api_keys import Keyring
 
 BAD_INPUT = 2
 
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m server", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m chamfer_morph.server", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     api = commands.add_parser("api", help="answer requests")
     api.add_argument("--fd", type=int, help="listening socket to inherit")
@@ -55,27 +55,27 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     if arguments.command == "serve":
-        from server.supervisor import serve
+        from chamfer_morph.server.supervisor import serve
 
         return serve(settings)
     if arguments.command == "openapi":
-        from server.app import create_app
-        from server.contract import text
+        from chamfer_morph.server.app import create_app
+        from chamfer_morph.server.openapi import text
 
         sys.stdout.write(text(create_app(settings)))
         return 0
     keyring = _keyring(settings)
     if arguments.command == "keys":
         return _keys(arguments, keyring)
-    from server.listening import check_keys, listen
+    from chamfer_morph.server.listener import check_keys, listen
 
     check_keys(settings, keyring)
     if arguments.command == "check":
-        from worker.queue import migrate
+        from chamfer_morph.worker.queue import migrate
 
         migrate(settings)
     else:
-        from server.answering import ApiServer
+        from chamfer_morph.server.api_server import ApiServer
 
         inherited = arguments.fd is not None
         listener = socket.socket(fileno=arguments.fd) if inherited else listen(settings)
@@ -85,10 +85,10 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
 
 def _keyring(settings: Settings) -> Keyring:
     """The keys, in tables that exist."""
-    from server.keyring import Keyring
-    from server.tables import create
-    from worker.queue import database
-    from worker.storage import Storage
+    from chamfer_morph.server.database.api_keys import Keyring
+    from chamfer_morph.server.database.tables import create
+    from chamfer_morph.worker.queue import database
+    from chamfer_morph.worker.storage import Storage
 
     Storage(settings.data_dir)
     engine = database(settings)
@@ -108,7 +108,7 @@ def _keys(arguments: argparse.Namespace, keyring: Keyring) -> int:
         return BAD_INPUT
     from pydantic import ValidationError
 
-    from server.schemas import KeyRequest
+    from chamfer_morph.schemas import KeyRequest
 
     try:
         wanted = KeyRequest(name=arguments.name, scopes=arguments.scope or ["read", "submit"])

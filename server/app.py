@@ -10,29 +10,29 @@ import anyio
 from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
-from server import (
+from chamfer_morph.server import openapi
+from chamfer_morph.server.auth import Gate, is_loopback
+from chamfer_morph.server.context import Service
+from chamfer_morph.server.http import problems
+from chamfer_morph.server.routes import (
     catalog,
-    contract,
-    ends,
     events,
     exports,
     fields,
     health,
+    job_shapes,
     jobs,
     keys,
     meshes,
-    page,
     particles,
-    problems,
     results,
     surfaces,
     sweeps,
     thumbnails,
+    web_page,
     workers,
 )
-from server.access import Gate, is_loopback
-from server.service import Service
-from worker.settings import Settings
+from chamfer_morph.worker.settings import Settings
 
 DESCRIPTION = """\
 Morph one 3D shape into another by physics: upload meshes, submit jobs, watch them, fetch results.
@@ -41,8 +41,8 @@ Every error is an RFC 9457 problem with the cause in `detail` and what to do abo
 """
 
 ROUTERS = (
-    meshes, jobs, results, ends, fields, surfaces, thumbnails, exports, events, sweeps, catalog,
-    particles, keys, workers,
+    meshes, jobs, results, job_shapes, fields, surfaces, thumbnails, exports, events, sweeps,
+    catalog, particles, keys, workers,
 )  # fmt: skip
 
 
@@ -78,13 +78,13 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.instruments = instruments
     problems.install(app)
-    app.add_exception_handler(404, page.not_found)
+    app.add_exception_handler(404, web_page.not_found)
     app.add_middleware(health.MeasuringMiddleware, instruments)
     v1 = APIRouter(prefix="/v1")
     for room in ROUTERS:
         v1.include_router(room.router)
     app.include_router(v1)
     app.include_router(health.router)
-    app.include_router(page.router)
-    contract.install(app)
+    app.include_router(web_page.router)
+    openapi.install(app)
     return app

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from server.children import Children, Meet
-from server.problems import ProblemError, as_problem
-from worker.exporting import ExportFailed
-from worker.job import Problem
+from chamfer_morph.schemas import Problem
+from chamfer_morph.server.child_pool import Children, Meet
+from chamfer_morph.server.http.problems import ProblemError, as_problem
+from chamfer_morph.worker.tasks.make_export import ExportFailed
 
 MOST_PER_KEY = 20
 """Exports of a key that may be under way or waiting for their turn."""

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import anyio
 from starlette.requests import Request
 
-from server.askers import Askers
-from server.problems import ProblemError
-from worker.job import Fit
-from worker.preview import Preview, sample_shape
-from worker.settings import Settings
+from chamfer_morph.schemas import Fit
+from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.waiters import Askers
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.tasks.sample_shape import Preview, sample_shape
 
 KEPT_BYTES = 64 << 20
 

@@ -9,17 +9,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from morph_engine import methods, presets, shapes
+from chamfer_morph.schemas import JobRequest, MeshShape, Shape
+from chamfer_morph.server.context import Service
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.queue import JobRecord
+from morph_engine import methods, presets
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, MeshError
-from morph_engine.sampling import MINIMUM_PARTICLES, REFERENCE_VOLUME
-from server.keyring import Caller
-from server.problems import ProblemError
-from server.schemas import JobRequest
-from server.service import Service
-from worker.job import JobSpec, MeshShape, Shape
-from worker.queue import JobRecord
+from morph_engine.geometry import shapes
+from morph_engine.geometry.sampling import MINIMUM_PARTICLES, REFERENCE_VOLUME
 
 _DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
 

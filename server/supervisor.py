@@ -19,8 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import FrameType
 
-from server.listening import address, listen
-from worker.settings import Settings
+from chamfer_morph.server.listener import address, listen
+from chamfer_morph.worker.settings import Settings
 
 POLL_SECONDS = 0.1
 STOP_SECONDS = 8.0
@@ -101,7 +101,7 @@ def serve(settings: Settings) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, stop)
     python = sys.executable
-    status = subprocess.run([python, "-m", "server", "check"], check=False).returncode
+    status = subprocess.run([python, "-m", "chamfer_morph.server", "check"], check=False).returncode
     if status or stopping:
         return status
     listener = listen(settings)
@@ -125,16 +125,19 @@ def serve(settings: Settings) -> int:
 
 def _api(listener: socket.socket) -> Child:
     handle = listener.fileno()
-    command = [sys.executable, "-m", "server", "api", "--fd", str(handle)]
+    command = [sys.executable, "-m", "chamfer_morph.server", "api", "--fd", str(handle)]
     return Child("the API", command, (handle,))
 
 
 def _workers(slots: int) -> list[Child]:
     python = sys.executable
-    janitor = Child("the janitor", [python, "-m", "worker", "janitor"])
+    janitor = Child("the janitor", [python, "-m", "chamfer_morph.worker", "janitor"])
     return [
         *(
-            Child(f"worker slot {slot}", [python, "-m", "worker", "run", "--slot", str(slot)])
+            Child(
+                f"worker slot {slot}",
+                [python, "-m", "chamfer_morph.worker", "run", "--slot", str(slot)],
+            )
             for slot in range(slots)
         ),
         janitor,

@@ -1,4 +1,4 @@
-"""Processes of the worker room: `python -m worker run | janitor | adopt | migrate`."""
+"""Processes of the worker: `python -m chamfer_morph.worker run | janitor | adopt | migrate`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import sys
 import threading
 import time
 
-from worker import workers
-from worker.settings import Settings
+from chamfer_morph.worker import slots
+from chamfer_morph.worker.settings import Settings
 
 LOOK_SECONDS = 0.05
 HEARTBEAT_SECONDS = 4.0
@@ -22,7 +22,7 @@ ADOPTION_PATIENCE_SECONDS = 10.0
 
 def main() -> None:
     """Run one process until it is told to end."""
-    parser = argparse.ArgumentParser(prog="python -m worker", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m chamfer_morph.worker", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     slot = commands.add_parser("run", help="work on jobs, one at a time")
     slot.add_argument("--slot", type=int, default=0, help="number of this slot on this machine")
@@ -36,15 +36,15 @@ def main() -> None:
     )
     settings = Settings()
     if arguments.command == "run":
-        run_slot(settings, workers.executor_id(arguments.slot))
+        run_slot(settings, slots.executor_id(arguments.slot))
     elif arguments.command == "janitor":
-        from worker import janitor
+        from chamfer_morph.worker import janitor
 
         janitor.run(settings)
     elif arguments.command == "adopt":
         adopt(settings, arguments.executor)
     else:
-        from worker.queue import JobQueue
+        from chamfer_morph.worker.queue import JobQueue
 
         JobQueue(settings).migrate()
 
@@ -55,8 +55,8 @@ def adopt(settings: Settings, executor: str) -> None:
     It ends by a signal where it takes too long, whether or not the caller still lives.
     """
     signal.alarm(ADOPTION_LIMIT_SECONDS)
-    from worker.queue import JobQueue
-    from worker.workflow import launch
+    from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.workflow import launch
 
     launch(settings, executor, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
@@ -67,10 +67,10 @@ def adopt(settings: Settings, executor: str) -> None:
 
 def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
-    from worker.liveness import wait_for_lock
-    from worker.queue import JobQueue
-    from worker.storage import Storage
-    from worker.workflow import PAUSED, launch
+    from chamfer_morph.worker.locks import wait_for_lock
+    from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.storage import Storage
+    from chamfer_morph.worker.workflow import PAUSED, launch
 
     Storage(settings.data_dir)
     queue = JobQueue(settings)
@@ -78,11 +78,11 @@ def run_slot(settings: Settings, executor: str) -> None:
     lock = wait_for_lock(settings, executor, ADOPTION_PATIENCE_SECONDS)
     if lock is None:
         sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
-    workers.introduce(settings.data_dir, executor)
+    slots.introduce(settings.data_dir, executor)
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
-    paused = workers.is_paused(settings.data_dir, executor)
+    paused = slots.is_paused(settings.data_dir, executor)
     if not paused:
         launch(settings, executor)
     last_beat = time.monotonic()
@@ -91,7 +91,7 @@ def run_slot(settings: Settings, executor: str) -> None:
             last_beat = time.monotonic()
             if not lock.held():
                 os._exit(1)  # somebody else may take its jobs: stop at once
-        if paused and not workers.is_paused(settings.data_dir, executor):
+        if paused and not slots.is_paused(settings.data_dir, executor):
             os._exit(PAUSED)  # start again, unpaused
     os._exit(0)  # its engine process ends with it
 

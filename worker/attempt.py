@@ -16,9 +16,9 @@ from typing import Any
 
 import psutil
 
-from worker.heartbeat import BEAT, STOP
-from worker.job import Outcome, Problem
-from worker.settings import Settings
+from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker.heartbeat import BEAT, STOP
+from chamfer_morph.worker.settings import Settings
 
 BEAT_SECONDS = 1.0
 GRACE_SECONDS = 1.5
@@ -75,7 +75,7 @@ async def run_attempt(
     """
     with (job_dir / "log.txt").open("ab") as log:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "worker.child",
+            sys.executable, "-m", "chamfer_morph.worker.engine_process",
             str(job_dir), str(attempt), str(threads_per_job(settings)),
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log,
             start_new_session=True,

@@ -9,11 +9,11 @@ import sys
 import time
 from datetime import datetime, timedelta, timezone
 
-from worker.job import JobState
-from worker.liveness import try_lock
-from worker.queue import JobQueue, JobRecord
-from worker.settings import Settings
-from worker.storage import Storage
+from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.locks import try_lock
+from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import Storage
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
                 continue
             log.warning("worker %s is gone; its jobs go back into the queue", executor)
             subprocess.run(
-                [sys.executable, "-m", "worker", "adopt", executor],
+                [sys.executable, "-m", "chamfer_morph.worker", "adopt", executor],
                 timeout=ADOPTION_LIMIT_SECONDS, check=True,
             )  # fmt: skip
             dead.append(executor)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from worker.event_log import EventLog
-from worker.job import JobSpec
-from worker.storage import Storage
+from chamfer_morph.worker.event_log import EventLog
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.storage import Storage
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,10 +30,11 @@ from dbos import (
 )
 from dbos import error as dbos_error
 
-from worker.job import JobSpec, JobState, Outcome, Problem
-from worker.settings import Settings
-from worker.state import job_state, statuses
-from worker.storage import Storage
+from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.job_state import job_state, statuses
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import Storage
 
 APPLICATION = "morph"
 APPLICATION_VERSION = "1"

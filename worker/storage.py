@@ -9,10 +9,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from morph_engine.durable import replacing, sync_directory
+from chamfer_morph.schemas import MeshShape, Shape
+from chamfer_morph.worker.event_log import EventLog
 from morph_engine.errors import MeshError, ResultError
-from worker.event_log import EventLog
-from worker.job import MeshShape, Shape
+from morph_engine.files import replacing, sync_directory
 
 
 class Storage:

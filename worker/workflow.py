@@ -11,12 +11,12 @@ from typing import Any
 from dbos import DBOS, DBOSConfig, PortableWorkflowError, WorkflowSerializationFormat
 from dbos import error as dbos_error
 
-from worker import queue
-from worker.attempt import AttemptFailed, run_attempt
-from worker.job import JobSpec
-from worker.settings import Settings
-from worker.storage import Storage
-from worker.workers import is_paused
+from chamfer_morph.worker import queue
+from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.slots import is_paused
+from chamfer_morph.worker.storage import Storage
 
 ADOPTIONS = 50
 PAUSED = 77

@@ -16,10 +16,10 @@ from statistics import median
 
 from benchmarks.service.figures import Figure, counted
 from benchmarks.service.place import Place, body
-from server.schemas import JobRequest
-from server.submission import configure
-from worker.job import JobSpec, JobState
-from worker.queue import JobQueue, JobRecord, new_job_id
+from chamfer_morph.schemas import JobRequest, JobState
+from chamfer_morph.server.submission import configure
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.queue import JobQueue, JobRecord, new_job_id
 
 KEYS = ("first", "second")
 JOBS_PER_KEY = 500

@@ -34,9 +34,9 @@ from benchmarks.service.fairness import smallest
 from benchmarks.service.figures import Figure, counted
 from benchmarks.service.place import Place, body, show, submit
 from benchmarks.service.requests_and_watchers import Burst
-from worker.event_log import EventLog
-from worker.queue import JobQueue, new_job_id
-from worker.storage import Storage
+from chamfer_morph.worker.event_log import EventLog
+from chamfer_morph.worker.queue import JobQueue, new_job_id
+from chamfer_morph.worker.storage import Storage
 
 ENGINES = 2
 OTHERS = 50

@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 import psutil
 
-from worker.settings import Settings
+from chamfer_morph.worker.settings import Settings
 
 START_SECONDS = 60.0
 STOP_SECONDS = 20.0
@@ -56,7 +56,7 @@ class Place:
         own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
         with (self.data_dir / "service.log").open("ab") as log:
             supervisor = psutil.Popen(
-                [sys.executable, "-m", "server", "serve"],
+                [sys.executable, "-m", "chamfer_morph.server", "serve"],
                 env=own
                 | {
                     "MORPH_DATA_DIR": str(self.data_dir),

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from morph_engine.morphing import morph
-from morph_engine.palette import DIVERGING
 from morph_engine.presets import configure
-from morph_engine.rendering import Camera, look, picture
-from morph_engine.selection import Selection, Snapshot
-from morph_engine.trajectory import Trajectory
+from morph_engine.rendering.palette import DIVERGING
+from morph_engine.rendering.pictures import Camera, look, picture
+from morph_engine.results.selection import Selection, Snapshot
+from morph_engine.results.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 METHODS = ("joint", "transport")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from reproduction.studies import STUDIES
+from chamfer_morph.reproduction.studies import STUDIES
 
 NAMES = {"planar": "circle-to-star.png", "propositions": "propositions.png"}
 """What the documentation calls the figure of a study."""

@@ -9,20 +9,20 @@ import difflib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from morph_engine.durable import replacing
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.export import csv, film, glb, npz, obj, ply, stl, usd
+from morph_engine.export import csv, glb, npz, obj, ply, stl, usd, video
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
-from morph_engine.fields import find as find_field
-from morph_engine.selection import Selection, Units
-from morph_engine.trajectory import Trajectory
+from morph_engine.files import replacing
+from morph_engine.results.fields import find as find_field
+from morph_engine.results.selection import Selection, Units
+from morph_engine.results.trajectory import Trajectory
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
 
 _ALL = (ply.FORMAT, obj.FORMAT, glb.FORMAT, stl.FORMAT, usd.FORMAT, npz.FORMAT, csv.FORMAT)
 
-FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, film.MP4, film.GIF)}
+FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, video.MP4, video.GIF)}
 
 
 def find(name: str) -> Format:
@@ -82,7 +82,7 @@ def export(
             where the path names a file for one frame.
         surface: A surface around the particles in place of the particles.
         units: ``user`` for the coordinates of the user's own files, ``grid`` for grid units.
-        fields: Names of fields to carry along, see `morph_engine.fields.FIELDS`. A surface takes
+        fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
             them from the particle nearest to each of its vertices.
         watch: Called with the number of frames written and to be written.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from morph_engine.durable import replacing
 from morph_engine.export.format import Format
-from morph_engine.selection import Selection
+from morph_engine.files import replacing
+from morph_engine.results.selection import Selection
 
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """What a zip archive can say earliest; the same export twice gives the same bytes."""

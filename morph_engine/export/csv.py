@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 from morph_engine.export.format import Format
-from morph_engine.selection import Selection
+from morph_engine.results.selection import Selection
 
 
 def write(selection: Selection, path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from morph_engine.selection import Selection
+from morph_engine.results.selection import Selection
 
 Kind = Literal["frame", "sequence", "table"]
 

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from morph_engine import palette
 from morph_engine.export.format import Format
-from morph_engine.fields import FIELDS
-from morph_engine.selection import Selection, Snapshot
+from morph_engine.rendering import palette
+from morph_engine.results.fields import FIELDS
+from morph_engine.results.selection import Selection, Snapshot
 
 
 def write(selection: Selection, path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from morph_engine.export.format import Format
-from morph_engine.selection import Selection
+from morph_engine.results.selection import Selection
 
 
 def write(selection: Selection, path: Path) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from morph_engine.export.format import Format
-from morph_engine.extras import load
-from morph_engine.selection import Selection, Snapshot
+from morph_engine.optional_packages import load
+from morph_engine.results.selection import Selection, Snapshot
 
 FRAMES_PER_SECOND = 24.0
 

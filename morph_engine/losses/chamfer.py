@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.config import ChamferConfig
+from morph_engine.geometry.neighbors import NeighborIndex
+from morph_engine.losses.cell_search import restrict_to_cells
 from morph_engine.losses.gaussian import GaussianAverage
-from morph_engine.losses.neighborhood import restrict_to_cells
 from morph_engine.mpm.kernel import Geometry
-from morph_engine.neighbors import NeighborIndex
 
 SMALLEST_GRADIENT = 1e-10  # a particle with a larger reverse gradient counts as active
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.losses.weighted_chamfer import WeightedChamfer, density_weights
-from morph_engine.methods.point_optimisation import PointOptimisation
+from morph_engine.methods.point_optimization import PointOptimisation
 from morph_engine.methods.protocol import Problem
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from morph_engine.losses.regularisers import Regularisers
+from morph_engine.losses.regularizers import Regularisers
 from morph_engine.losses.weighted_chamfer import WeightedChamfer
-from morph_engine.methods.point_optimisation import PointOptimisation
+from morph_engine.methods.point_optimization import PointOptimisation
 from morph_engine.methods.protocol import Problem
 
 

@@ -8,13 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.control import FrameControl, FrameReport
 from morph_engine.losses.chamfer import ChamferLoss, Matches
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
-from morph_engine.methods.matter import cell_order, grid_geometry, make_simulation, particle_mass
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
+from morph_engine.mpm.simulation_setup import (
+    cell_order,
+    grid_geometry,
+    make_simulation,
+    particle_mass,
+)
 from morph_engine.mpm.state import Particles
-from morph_engine.schedule import frame_weights
+from morph_engine.optimization.frame_control import FrameControl, FrameReport
+from morph_engine.optimization.schedule import frame_weights
 
 
 class Physics(Method):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.config import MorphConfig
-from morph_engine.events import Event
+from morph_engine.optimization.events import Event
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.amsgrad import AMSGrad
-from morph_engine.control_lattice import ControlLattice
 from morph_engine.losses.weighted_chamfer import WeightedChamfer
-from morph_engine.methods.point_optimisation import PointOptimisation
+from morph_engine.methods.point_optimization import PointOptimisation
+from morph_engine.optimization.amsgrad import AMSGrad
+from morph_engine.optimization.control_lattice import ControlLattice
 
 
 class SharedBasis(PointOptimisation):

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.losses.sinkhorn import SinkhornDivergence
-from morph_engine.methods.matter import grid_geometry
-from morph_engine.methods.point_optimisation import PointOptimisation
+from morph_engine.methods.point_optimization import PointOptimisation
+from morph_engine.mpm.simulation_setup import grid_geometry
 
 
 class Sinkhorn(PointOptimisation):

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from morph_engine.losses.sliced_wasserstein import SlicedWasserstein
-from morph_engine.methods.point_optimisation import PointOptimisation
+from morph_engine.methods.point_optimization import PointOptimisation
 
 
 class Swd(PointOptimisation):

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.control import fault_names
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import Matches
-from morph_engine.methods.matter import cell_order, make_simulation
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 from morph_engine.mpm import steering
+from morph_engine.mpm.simulation_setup import cell_order, make_simulation
 from morph_engine.mpm.state import Particles
-from morph_engine.transport import even_destinations, random_destinations, transport_plan
+from morph_engine.optimal_transport import even_destinations, random_destinations, transport_plan
+from morph_engine.optimization.frame_control import fault_names
 
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""

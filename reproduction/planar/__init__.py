@@ -27,7 +27,7 @@ What the result says:
   and 1.62. In this experiment global coupling is not what it takes to avoid collapse.
 """
 
-from reproduction.planar.experiment import (
+from chamfer_morph.reproduction.planar.experiment import (
     PRINTED,
     Experiment,
     PlanarRow,
@@ -38,8 +38,12 @@ from reproduction.planar.experiment import (
     run,
     run_all,
 )
-from reproduction.planar.picture import figure
-from reproduction.planar.settings import PlanarConfig, converged_setting, paper_setting
+from chamfer_morph.reproduction.planar.picture import figure
+from chamfer_morph.reproduction.planar.settings import (
+    PlanarConfig,
+    converged_setting,
+    paper_setting,
+)
 
 __all__ = [
     "PRINTED",

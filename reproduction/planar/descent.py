@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.settings import PlanarConfig
+from chamfer_morph.reproduction.planar.settings import PlanarConfig
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.chamfer import ChamferLoss
-from reproduction.planar.descent import Descent, clip
-from reproduction.planar.fourier import FourierOutline
-from reproduction.planar.measures import PlanarMeasures, measure
-from reproduction.planar.outlines import circle, circle_angles, even_star, star
-from reproduction.planar.repulsion import repulsion
-from reproduction.planar.settings import (
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.planar.descent import Descent, clip
+from chamfer_morph.reproduction.planar.fourier import FourierOutline
+from chamfer_morph.reproduction.planar.measures import PlanarMeasures, measure
+from chamfer_morph.reproduction.planar.outlines import circle, circle_angles, even_star, star
+from chamfer_morph.reproduction.planar.repulsion import repulsion
+from chamfer_morph.reproduction.planar.settings import (
     TUNED_REPULSION,
     PlanarConfig,
     converged_setting,

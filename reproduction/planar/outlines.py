@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.settings import PlanarConfig
+from chamfer_morph.reproduction.planar.settings import PlanarConfig
 
 Points = npt.NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
-from reproduction.planar.experiment import PlanarRun, Setting
-from reproduction.planar.measures import TIGHT_CLUSTER_RADIUS, PlanarMeasures, measure
-from reproduction.planar.outlines import circle, even_star, star
-from reproduction.planar.settings import PlanarConfig
+from chamfer_morph.reproduction.planar.experiment import PlanarRun, Setting
+from chamfer_morph.reproduction.planar.measures import TIGHT_CLUSTER_RADIUS, PlanarMeasures, measure
+from chamfer_morph.reproduction.planar.outlines import circle, even_star, star
+from chamfer_morph.reproduction.planar.settings import PlanarConfig
 
 Points = npt.NDArray[np.float64]
 

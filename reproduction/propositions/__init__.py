@@ -6,12 +6,12 @@ does not follow is that a run must collapse: cells change, collapsed points sepa
 clusters, Adam rescales, and a penalty that leaves a centroid alone still keeps points apart.
 """
 
-from reproduction.propositions.check import Check, Limit, Quantity
-from reproduction.propositions.collapse import proposition_1
-from reproduction.propositions.coupling import corollary_1
-from reproduction.propositions.drift import proposition_3
-from reproduction.propositions.picture import figure
-from reproduction.propositions.separation import proposition_2
+from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.collapse import proposition_1
+from chamfer_morph.reproduction.propositions.coupling import corollary_1
+from chamfer_morph.reproduction.propositions.drift import proposition_3
+from chamfer_morph.reproduction.propositions.picture import figure
+from chamfer_morph.reproduction.propositions.separation import proposition_2
 
 __all__ = [
     "Check",

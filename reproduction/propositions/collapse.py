@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.chamfer import ChamferLoss, nearest
-from reproduction.propositions.check import Check, Limit, Quantity
-from reproduction.propositions.scene import CENTRE, TARGETS, cluster
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
+from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS, cluster
 
 Points = npt.NDArray[np.float64]
 

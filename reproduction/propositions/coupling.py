@@ -15,13 +15,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.chamfer import ChamferLoss
-from reproduction.planar.experiment import Experiment, run
-from reproduction.planar.measures import PlanarMeasures
-from reproduction.planar.settings import PlanarConfig, converged_setting
-from reproduction.propositions.check import Check, Limit, Quantity
-from reproduction.propositions.drift import drift, penalty_force
-from reproduction.propositions.scene import TARGETS, cluster, elsewhere, spread
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.planar.experiment import Experiment, run
+from chamfer_morph.reproduction.planar.measures import PlanarMeasures
+from chamfer_morph.reproduction.planar.settings import PlanarConfig, converged_setting
+from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.drift import drift, penalty_force
+from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere, spread
 
 Points = npt.NDArray[np.float64]
 Coupling = Callable[[Points, Points], Points]

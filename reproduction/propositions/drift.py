@@ -9,13 +9,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.chamfer import ChamferLoss
-from reproduction.planar.descent import Descent
-from reproduction.planar.repulsion import repulsion
-from reproduction.planar.settings import PlanarConfig
-from reproduction.propositions.check import Check, Limit, Quantity
-from reproduction.propositions.penalties import PENALTIES, neighbor_lists, repulsion_penalty
-from reproduction.propositions.scene import CENTRE, TARGETS, cluster, elsewhere
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.planar.descent import Descent
+from chamfer_morph.reproduction.planar.repulsion import repulsion
+from chamfer_morph.reproduction.planar.settings import PlanarConfig
+from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.penalties import (
+    PENALTIES,
+    neighbor_lists,
+    repulsion_penalty,
+)
+from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS, cluster, elsewhere
 
 Points = npt.NDArray[np.float64]
 

@@ -10,20 +10,20 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from scipy.spatial import Voronoi
 
-from reproduction.planar.chamfer import ChamferLoss
-from reproduction.propositions.collapse import RATE, STEPS
-from reproduction.propositions.collapse import descend as collapse
-from reproduction.propositions.coupling import basis, grid, independent
-from reproduction.propositions.coupling import descend as coupled
-from reproduction.propositions.drift import (
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.propositions.collapse import RATE, STEPS
+from chamfer_morph.reproduction.propositions.collapse import descend as collapse
+from chamfer_morph.reproduction.propositions.coupling import basis, grid, independent
+from chamfer_morph.reproduction.propositions.coupling import descend as coupled
+from chamfer_morph.reproduction.propositions.drift import (
     adam_way,
     crossing_drift,
     drift,
     one_sided_drift,
     penalty_force,
 )
-from reproduction.propositions.scene import CENTRE, TARGETS, cluster, spread
-from reproduction.propositions.separation import COUNT, apart, moving
+from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS, cluster, spread
+from chamfer_morph.reproduction.propositions.separation import COUNT, apart, moving
 
 Points = npt.NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from reproduction.planar.chamfer import ChamferLoss, nearest
-from reproduction.propositions.check import Check, Limit, Quantity
-from reproduction.propositions.collapse import STEPS, descend
-from reproduction.propositions.scene import CENTRE, TARGETS
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
+from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.collapse import STEPS, descend
+from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS
 
 Points = npt.NDArray[np.float64]
 

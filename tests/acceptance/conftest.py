@@ -16,12 +16,13 @@ import numpy as np
 import psutil
 import pytest
 
+from chamfer_morph.schemas import BuiltInShape, JobState
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.queue import JobQueue, JobRecord, new_job_id
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
-from morph_engine.trajectory import Trajectory
-from worker.job import BuiltInShape, JobSpec, JobState
-from worker.queue import JobQueue, JobRecord, new_job_id
-from worker.settings import Settings
-from worker.storage import Storage
+from morph_engine.results.trajectory import Trajectory
 
 FRAMES = 30
 """Frames of a small job; each takes about a tenth of a second."""
@@ -51,7 +52,7 @@ class Cluster:
         """Start a process of the worker room."""
         with (self.settings.data_dir / "processes.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "worker", *arguments],
+                [sys.executable, "-m", "chamfer_morph.worker", *arguments],
                 env=self.environment | environment,
                 stderr=log,
             )
@@ -204,7 +205,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Positions of a small job that nothing disturbed, shape [frames, n, 3]."""
     out = tmp_path_factory.mktemp("undisturbed") / "result.vtkhdf"
     subprocess.run(
-        [sys.executable, "-m", "client", "run", "sphere", "star", "--method", "joint",
+        [sys.executable, "-m", "chamfer_morph", "run", "sphere", "star", "--method", "joint",
          "--points-per-cell-edge", "1",
          "--frames", str(FRAMES), "--device", "cpu", "--out", out, "--quiet"],
         check=True, stdout=subprocess.DEVNULL,

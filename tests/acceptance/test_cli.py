@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from morph_engine.shapes import names
+from morph_engine.geometry.shapes import names
 
 MORPH = Path(sys.executable).with_name("morph")
 
@@ -41,7 +41,7 @@ def test_help_names_every_command():
 
 def test_help_needs_no_taichi():
     """Help does not pay for the engine's heavy imports."""
-    code = "import sys, client.cli as c; c.app(['--help'], standalone_mode=False); "
+    code = "import sys, chamfer_morph.cli.app as c; c.app(['--help'], standalone_mode=False); "
     code += "sys.exit(' '.join({'taichi', 'scipy', 'trimesh', 'h5py', 'numpy'} & set(sys.modules)))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert outcome.stderr.strip() == ""

@@ -17,9 +17,9 @@ import pytest
 import trimesh
 
 from morph_engine.presets import configure
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool
-from morph_engine.trajectory import write_result
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import write_result
 
 MORPH = Path(sys.executable).with_name("morph")
 GENERATOR = np.random.default_rng(3)

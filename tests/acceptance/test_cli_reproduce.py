@@ -15,10 +15,10 @@ import numpy as np
 import psutil
 import pytest
 
-from client.api import MorphClient
-from morph_engine.durable import acquire
-from morph_engine.spool import finished_frames, spool_path
-from morph_engine.trajectory import Trajectory
+from chamfer_morph.client.client import MorphClient
+from morph_engine.files import acquire
+from morph_engine.results.spool import finished_frames, spool_path
+from morph_engine.results.trajectory import Trajectory
 
 MORPH = Path(sys.executable).with_name("morph")
 RUNS = ("trial-dco", "trial-joint")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morph_engine.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory
 
 MORPH = Path(sys.executable).with_name("morph")
 FRAME_COUNT = 4

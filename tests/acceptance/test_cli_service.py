@@ -16,8 +16,8 @@ import numpy as np
 import psutil
 import pytest
 
-from client.api import MorphClient
-from morph_engine.trajectory import Trajectory
+from chamfer_morph.client.client import MorphClient
+from morph_engine.results.trajectory import Trajectory
 
 MORPH = Path(sys.executable).with_name("morph")
 SMALL = ["--points-per-cell-edge", "2", "--frames", "2"]
@@ -294,15 +294,18 @@ def test_a_worker_is_paused_and_let_go(morph):
 
 def test_help_needs_neither_http_nor_the_schemas():
     """Help does not pay for the imports of the service commands."""
-    code = "import sys, client.cli as c; c.app(['submit', '--help'], standalone_mode=False); "
-    code += "sys.exit(' '.join({'httpx', 'server.schemas', 'numpy'} & set(sys.modules)))"
+    code = (
+        "import sys, chamfer_morph.cli.app as c\n"
+        "c.app(['submit', '--help'], standalone_mode=False)\n"
+        "sys.exit(' '.join({'httpx', 'chamfer_morph.schemas', 'numpy'} & set(sys.modules)))"
+    )
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert outcome.stderr.strip() == ""
 
 
 def test_the_client_needs_no_server_or_database():
     """What talks to the service by HTTP loads nothing of what serves it."""
-    code = "import sys, client.api; "
+    code = "import sys, chamfer_morph.client.client; "
     code += "sys.exit(' '.join({'dbos', 'fastapi', 'sqlalchemy', 'taichi'} & set(sys.modules)))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert outcome.stderr.strip() == ""

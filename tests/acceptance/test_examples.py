@@ -10,7 +10,7 @@ from pathlib import Path
 import trimesh
 from PIL import Image
 
-from morph_engine.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

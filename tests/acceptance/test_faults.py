@@ -13,10 +13,10 @@ from contextlib import closing, suppress
 import psutil
 import pytest
 
-from worker.janitor import adopt_orphans
-from worker.job import JobState
-from worker.queue import JobQueue, new_job_id
-from worker.workers import executor_id
+from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.janitor import adopt_orphans
+from chamfer_morph.worker.queue import JobQueue, new_job_id
+from chamfer_morph.worker.slots import executor_id
 
 pytestmark = [
     pytest.mark.faults,
@@ -37,14 +37,14 @@ def test_worker_killed_and_restarted(cluster, undisturbed):
 
 def test_all_killed_at_once(cluster, undisturbed):
     """Workers, engines and janitor die together; what starts afterwards finishes everything."""
-    workers = [cluster.worker(0), cluster.worker(1)]
+    slots = [cluster.worker(0), cluster.worker(1)]
     jobs = [cluster.submit() for _ in range(3)]
     janitor = cluster.start("janitor")
     cluster.wait_for_frame(jobs[0], 2)
-    engines = [child for w in workers for child in psutil.Process(w.pid).children()]
-    for process in (*workers, janitor, *engines):
+    engines = [child for w in slots for child in psutil.Process(w.pid).children()]
+    for process in (*slots, janitor, *engines):
         process.kill()
-    for worker in workers:
+    for worker in slots:
         worker.wait()
     cluster.worker(0)
     cluster.worker(1)
@@ -317,13 +317,13 @@ def test_owners_take_turns(cluster):
 
 def test_paused_worker_takes_no_job(cluster, undisturbed):
     """A paused slot finishes its job and takes no other; unpaused it goes on."""
-    from worker import workers
+    from chamfer_morph.worker import slots
 
     data, name = cluster.settings.data_dir, executor_id(0)
     cluster.worker(0)
     first, second = cluster.submit(), cluster.submit()
     cluster.wait_for_frame(first, 1)
-    workers.pause(data, name)
+    slots.pause(data, name)
     cluster.require_sound(first, undisturbed, kills=0)
     time.sleep(1)
     assert cluster.frames(second) == []

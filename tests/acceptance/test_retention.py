@@ -8,14 +8,14 @@ import time
 
 import pytest
 
-from worker.janitor import (
+from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.janitor import (
     ABANDONED_SECONDS,
     delete_abandoned_uploads,
     delete_at_rest,
     delete_expired,
 )
-from worker.job import JobState
-from worker.storage import Storage
+from chamfer_morph.worker.storage import Storage
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from worker.job import JobState
-from worker.workers import executor_id
+from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.slots import executor_id
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 

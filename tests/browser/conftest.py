@@ -82,7 +82,7 @@ class LiveService:
         """Start it and wait until it answers."""
         with (self.data_dir / "service.log").open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "server", "serve"],
+                [sys.executable, "-m", "chamfer_morph.server", "serve"],
                 env=self.environment,
                 stdout=log,
                 stderr=log,

@@ -11,11 +11,11 @@ import pytest
 from morph_engine import backend
 from morph_engine.losses.grid_mass import GridMass
 from morph_engine.methods import Problem
-from morph_engine.methods.matter import cell_order
 from morph_engine.methods.physics import Physics
 from morph_engine.morphing import prepare
+from morph_engine.mpm.simulation_setup import cell_order
+from morph_engine.optimization.schedule import frame_weights
 from morph_engine.presets import configure
-from morph_engine.schedule import frame_weights
 
 
 @pytest.fixture

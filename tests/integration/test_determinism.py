@@ -19,7 +19,7 @@ def test_positions_do_not_depend_on_threads(method: str, tmp_path: Path) -> None
     for threads in (1, 2):
         out = tmp_path / f"{threads}.vtkhdf"
         subprocess.run(
-            [sys.executable, "-m", "client", "run", "sphere", "torus", "--method", method,
+            [sys.executable, "-m", "chamfer_morph", "run", "sphere", "torus", "--method", method,
              "--frames", "6", "--points-per-cell-edge", "2", "--threads", str(threads),
              "--set", "chamfer.start_frame=0", "--device", "cpu", "--out", str(out), "--json"],
             check=True, capture_output=True, timeout=300,

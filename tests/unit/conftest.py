@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from morph_engine.presets import configure
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool
-from morph_engine.trajectory import write_result
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import write_result
 
 FRAMES = 3
 TRANSFORM = np.array([[0.5, 0, 0, 10], [0, 0.5, 0, -20], [0, 0, 0.5, 30], [0, 0, 0, 1.0]])

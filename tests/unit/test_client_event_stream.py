@@ -2,7 +2,7 @@
 
 import pytest
 
-from client.event_stream import EventStream, Message
+from chamfer_morph.client.event_stream import EventStream, Message
 
 STREAM = (
     b": a comment\r\n"

@@ -10,9 +10,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from client import retry
-from client.api import AsyncMorphClient, MorphClient
-from client.service_error import ServiceError
+from chamfer_morph.client import retry
+from chamfer_morph.client.client import AsyncMorphClient, MorphClient
+from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError, ResultError
 
 JOB_ID = "0" * 26

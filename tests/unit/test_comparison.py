@@ -13,13 +13,13 @@ import trimesh
 
 from morph_engine.comparison import compare, measure, sample_surface
 from morph_engine.errors import ConfigError, MeshError
-from morph_engine.fill import outside_metrics
-from morph_engine.mesh import Mesh, make_mesh
-from morph_engine.metrics import METRICS
-from morph_engine.run_record import RunRecord
-from morph_engine.sampling import sample_lattice
-from morph_engine.spool import Spool
-from morph_engine.trajectory import Trajectory, write_result
+from morph_engine.geometry.mesh import Mesh, make_mesh
+from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.metrics.fill import outside_metrics
+from morph_engine.metrics.point_metrics import METRICS
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import Trajectory, write_result
 
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = Path(os.environ.get("MORPH_MESHES", ROOT.parent / "shared" / "meshes"))

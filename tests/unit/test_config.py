@@ -7,8 +7,8 @@ import pytest
 from morph_engine import presets
 from morph_engine.config import MorphConfig, field_paths
 from morph_engine.errors import ConfigError
+from morph_engine.optimization.schedule import frame_weights
 from morph_engine.presets import configure
-from morph_engine.schedule import frame_weights
 
 
 @pytest.mark.parametrize("name", presets.names())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from datetime import datetime, timezone
 
-from worker.event_log import EventLog
+from chamfer_morph.worker.event_log import EventLog
 
 
 def test_events_come_back(tmp_path):

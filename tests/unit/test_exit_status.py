@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from client.errors import exit_status, print_json
+from chamfer_morph.cli.exit_status import exit_status, print_json
 from morph_engine.errors import MeshError
 
 

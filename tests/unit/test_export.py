@@ -12,9 +12,9 @@ from pxr import Usd, UsdGeom
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.export import FORMATS, export, suffix
-from morph_engine.fields import FIELDS
+from morph_engine.results.fields import FIELDS
+from morph_engine.results.trajectory import Trajectory
 from morph_engine.surface import surface
-from morph_engine.trajectory import Trajectory
 
 TOLERANCE = 1e-5  # in the user's units, where the egg is 4 long and 37 from the origin
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.fields import FIELDS, field
+from morph_engine.results.fields import FIELDS, field
 
 SOURCE = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 5, 5]], np.float32)
 PREVIOUS = SOURCE + np.float32([0, 1, 0])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from dbos import WorkflowStatusString
 
-from worker.job import JobState
-from worker.state import allowed, job_state, statuses
+from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.job_state import allowed, job_state, statuses
 
 ACTIONS = ("cancel", "resume", "retry", "delete")
 

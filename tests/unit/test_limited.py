@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from worker import limited
-from worker.limited import Limits
+from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.sandbox import Limits
 
 CHILD = """
 import sys
@@ -39,21 +39,21 @@ def child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_a_child_prints_is_its_answer() -> None:
     """As a whole, or line by line."""
     code = "print('one'); print('two')"
-    assert limited.run("child", [code], Limits(1 << 28, 10)).split() == [b"one", b"two"]
+    assert sandbox.run("child", [code], Limits(1 << 28, 10)).split() == [b"one", b"two"]
     heard: list[bytes] = []
-    assert limited.run("child", [code], Limits(1 << 28, 10), hear=heard.append) == b""
+    assert sandbox.run("child", [code], Limits(1 << 28, 10), hear=heard.append) == b""
     assert heard == [b"one\n", b"two\n"]
 
 
 @pytest.mark.parametrize(
     ("code", "error"),
     [
-        ("bytearray(1 << 30)", limited.TooMuchMemory),
-        ("while True: pass", limited.TooMuchTime),
-        ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", limited.Broken),
-        ("import os; os.abort()", limited.Broken),
-        ("import os; os.write(2, b'std::bad_alloc'); os.abort()", limited.TooMuchMemory),
-        ("import os; os.kill(os.getpid(), 9)", limited.Killed),
+        ("bytearray(1 << 30)", sandbox.TooMuchMemory),
+        ("while True: pass", sandbox.TooMuchTime),
+        ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", sandbox.Broken),
+        ("import os; os.abort()", sandbox.Broken),
+        ("import os; os.write(2, b'std::bad_alloc'); os.abort()", sandbox.TooMuchMemory),
+        ("import os; os.kill(os.getpid(), 9)", sandbox.Killed),
     ],
 )
 def test_a_child_that_does_too_much_is_ended(
@@ -62,14 +62,14 @@ def test_a_child_that_does_too_much_is_ended(
     """Each limit by its name, and nothing printed is taken for an answer."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error):
-        limited.run("child", [f"print(1)\n{code}"], Limits(1 << 28, 1, file_bytes=1000))
+        sandbox.run("child", [f"print(1)\n{code}"], Limits(1 << 28, 1, file_bytes=1000))
 
 
 def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture) -> None:
     """The end of what it said is logged where it breaks."""
     code = "sys.stderr.write('x' * 300_000 + 'the reason'); sys.exit(3)"
-    with pytest.raises(limited.Broken, match="exit status 3"):
-        limited.run("child", [code], Limits(1 << 28, 10))
+    with pytest.raises(sandbox.Broken, match="exit status 3"):
+        sandbox.run("child", [code], Limits(1 << 28, 10))
     assert "the reason" in caplog.text and len(caplog.text) < 20_000
 
 

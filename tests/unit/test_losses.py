@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.config import ChamferConfig
+from morph_engine.losses.cell_search import search_cells
 from morph_engine.losses.chamfer import ChamferLoss, Matches
 from morph_engine.losses.gaussian import GaussianAverage
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
-from morph_engine.losses.neighborhood import search_cells
 from morph_engine.mpm.kernel import Geometry
 
 pytestmark = pytest.mark.usefixtures("float64_device")

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from morph_engine.errors import MeshError
-from morph_engine.mesh import FILE_BYTES_LIMIT, load_mesh, make_mesh
+from morph_engine.geometry.mesh import FILE_BYTES_LIMIT, load_mesh, make_mesh
 
 BOX = trimesh.creation.box(extents=(6.0, 8.0, 10.0))
 FACE_ROWS = "".join(f"f {a} {b} {c}\n" for a, b, c in (BOX.faces + 1).tolist())

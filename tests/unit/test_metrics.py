@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import MeshError
-from morph_engine.fill import fill_metrics
-from morph_engine.metrics import METRICS, chamfer_metrics, deformation_metrics
+from morph_engine.metrics.fill import fill_metrics
+from morph_engine.metrics.point_metrics import METRICS, chamfer_metrics, deformation_metrics
 
 Cloud = npt.NDArray[np.float64]
 ORIGIN = np.zeros((1, 3))

@@ -9,15 +9,27 @@ import pytest
 from matplotlib.colors import LogNorm
 from scipy.spatial import cKDTree
 
-from reproduction.planar import PRINTED, Experiment, experiments, figure, rows, run, run_all
-from reproduction.planar.chamfer import ChamferLoss
-from reproduction.planar.descent import clip
-from reproduction.planar.experiment import PlanarRow, PlanarRun
-from reproduction.planar.fourier import FourierOutline
-from reproduction.planar.measures import measure
-from reproduction.planar.outlines import circle, circle_angles, even_star, star
-from reproduction.planar.repulsion import repulsion
-from reproduction.planar.settings import PlanarConfig, converged_setting, paper_setting
+from chamfer_morph.reproduction.planar import (
+    PRINTED,
+    Experiment,
+    experiments,
+    figure,
+    rows,
+    run,
+    run_all,
+)
+from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.planar.descent import clip
+from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun
+from chamfer_morph.reproduction.planar.fourier import FourierOutline
+from chamfer_morph.reproduction.planar.measures import measure
+from chamfer_morph.reproduction.planar.outlines import circle, circle_angles, even_star, star
+from chamfer_morph.reproduction.planar.repulsion import repulsion
+from chamfer_morph.reproduction.planar.settings import (
+    PlanarConfig,
+    converged_setting,
+    paper_setting,
+)
 
 RANDOM = np.random.default_rng(5)
 

@@ -9,18 +9,18 @@ import pytest
 from numpy.typing import NDArray
 
 from morph_engine import Trajectory, backend, methods, morph, presets
-from morph_engine.amsgrad import AMSGrad
 from morph_engine.config import MorphConfig, RegulariserConfig
-from morph_engine.control_lattice import ControlLattice
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.losses.chamfer import Matches
 from morph_engine.losses.density_aware import DensityAwareChamfer
 from morph_engine.losses.matched_pairs import PairLoss
 from morph_engine.losses.nearest_others import nearest_others
-from morph_engine.losses.regularisers import Regularisers
+from morph_engine.losses.regularizers import Regularisers
 from morph_engine.losses.weighted_chamfer import WeightedChamfer, density_weights
 from morph_engine.methods import Method, Problem
+from morph_engine.optimization.amsgrad import AMSGrad
+from morph_engine.optimization.control_lattice import ControlLattice
 from morph_engine.presets import configure
 
 POINT_METHODS = ("dco", "dcd", "density_aware", "shared_basis")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reproduction.propositions import Quantity, all_checks, figure
-from reproduction.propositions.coupling import basis, coupled_drift, grid, independent
-from reproduction.propositions.penalties import PENALTIES, neighbor_lists
-from reproduction.propositions.scene import TARGETS, cluster, elsewhere
+from chamfer_morph.reproduction.propositions import Quantity, all_checks, figure
+from chamfer_morph.reproduction.propositions.coupling import basis, coupled_drift, grid, independent
+from chamfer_morph.reproduction.propositions.penalties import PENALTIES, neighbor_lists
+from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere
 
 CHECKS = all_checks()
 

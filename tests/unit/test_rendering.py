@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
-from morph_engine.raster import Canvas
-from morph_engine.rendering import Camera, look, picture, thumbnail, video
+from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
+from morph_engine.rendering.raster import Canvas
 from morph_engine.surface import surface
 
 FRONT = Camera(np.eye(3), np.zeros(3), 5.0)

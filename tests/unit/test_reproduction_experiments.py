@@ -2,14 +2,14 @@
 
 import pytest
 
+from chamfer_morph.reproduction.beyond import BEYOND
+from chamfer_morph.reproduction.catalog import SUBJECTS, choose, cpu_seconds_of, runs_of
+from chamfer_morph.reproduction.experiments import EXPERIMENTS, NATIVE, SPHERE
+from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
+from chamfer_morph.reproduction.printed import CLAIMS, PAPER, PROGRAM
+from chamfer_morph.reproduction.verdicts import _VERDICTS
 from morph_engine import methods
 from morph_engine.errors import ConfigError, MeshError
-from reproduction.beyond import BEYOND
-from reproduction.catalogue import SUBJECTS, choose, cpu_seconds_of, runs_of
-from reproduction.experiments import EXPERIMENTS, NATIVE, SPHERE
-from reproduction.meshes import ASSETS, MeshFolder
-from reproduction.printed import CLAIMS, PAPER, PROGRAM
-from reproduction.verdicts import _VERDICTS
 
 ALL_RUNS = [
     run for experiment in (*EXPERIMENTS.values(), *BEYOND.values()) for run in experiment.runs

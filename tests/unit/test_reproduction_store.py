@@ -5,9 +5,9 @@ import math
 
 import pytest
 
-from reproduction.meshes import MeshFolder
-from reproduction.run import Run
-from reproduction.store import Record, Store
+from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Record, Store
 
 RUN = Run(id="a", source="sphere", target="star", method="joint", points_per_cell_edge=1)
 

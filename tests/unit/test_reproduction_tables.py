@@ -6,13 +6,13 @@ import re
 
 import pytest
 
-from reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SCATTER, SPHERE
-from reproduction.output import write
-from reproduction.printed import PAPER
-from reproduction.section import grid_of
-from reproduction.store import Record, Store
-from reproduction.tables import shown_difference, tabulate
-from reproduction.verdicts import verdict
+from chamfer_morph.reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SCATTER, SPHERE
+from chamfer_morph.reproduction.output import write
+from chamfer_morph.reproduction.printed import PAPER
+from chamfer_morph.reproduction.section import grid_of
+from chamfer_morph.reproduction.store import Record, Store
+from chamfer_morph.reproduction.tables import shown_difference, tabulate
+from chamfer_morph.reproduction.verdicts import verdict
 
 
 def as_printed(experiment):

@@ -12,10 +12,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_engine import sampling
 from morph_engine.errors import MeshError
-from morph_engine.mesh import load_mesh, make_mesh
-from morph_engine.sampling import (
+from morph_engine.geometry import sampling
+from morph_engine.geometry.mesh import load_mesh, make_mesh
+from morph_engine.geometry.sampling import (
     FIT_HALF_EXTENT,
     REFERENCE_VOLUME,
     Similarity,
@@ -24,7 +24,7 @@ from morph_engine.sampling import (
     sample_lattice,
     winding_number,
 )
-from morph_engine.shapes import make
+from morph_engine.geometry.shapes import make
 
 MESHES = Path(os.environ.get("MORPH_MESHES", Path(__file__).parents[3] / "shared" / "meshes"))
 needs_meshes = pytest.mark.skipif(

@@ -6,27 +6,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server import pages
-from server.access import is_loopback
-from server.events import wants_stream
-from server.job_view import is_id
-from server.keyring import Caller
-from server.problems import ProblemError
-from server.submission import repeated_id
-from server.uploads import plain_name
+from chamfer_morph.server.auth import is_loopback
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.http import cursors
+from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.http.uploads import plain_name
+from chamfer_morph.server.job_representation import is_id
+from chamfer_morph.server.routes.events import wants_stream
+from chamfer_morph.server.submission import repeated_id
 
 
 @given(st.integers(0, 2**53 - 1), st.from_regex(r"[0-9a-z]{26}", fullmatch=True))
 def test_a_cursor_comes_back_as_it_was(age: int, name: str) -> None:
     """What was encoded is decoded."""
-    assert pages.decode(pages.encode(age, name)) == (age, name)
+    assert cursors.decode(cursors.encode(age, name)) == (age, name)
 
 
 @given(st.text(max_size=60))
 def test_a_strange_cursor_is_refused(text: str) -> None:
     """Any other text is a 422, not a fault."""
     try:
-        pages.decode(text)
+        cursors.decode(text)
     except ProblemError as error:
         assert error.status == 422
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from morph_engine.errors import ResultError
-from morph_engine.mesh import Mesh
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool, spool_path
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool, spool_path
 
 N = 7
 
@@ -129,8 +129,8 @@ def test_kill_leaves_a_spool_to_resume(tmp_path):
     """A process killed while it writes frees its lock and leaves whole frames and a checkpoint."""
     script = (
         "import numpy, sys\n"
-        "from morph_engine.run_record import RunRecord\n"
-        "from morph_engine.spool import Spool\n"
+        "from morph_engine.results.run_record import RunRecord\n"
+        "from morph_engine.results.spool import Spool\n"
         "p = numpy.ones((2000, 3), numpy.float32)\n"
         "spool = Spool.create(sys.argv[1], RunRecord({}, p, p, p, p), replace=True)\n"
         "for frame in range(10**6):\n"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from morph_engine.errors import MeshError
-from morph_engine.mesh import make_mesh
-from morph_engine.sampling import fit_to_domain, sample_lattice
-from morph_engine.shapes import resolve_shape
+from morph_engine.geometry.mesh import make_mesh
+from morph_engine.geometry.sampling import fit_to_domain, sample_lattice
+from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.surface import Surface, _in_order, _without_specks, deviation, surface
 
 H = 0.5

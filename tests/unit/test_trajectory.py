@@ -8,10 +8,10 @@ from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from morph_engine.errors import ResultError
-from morph_engine.mesh import Mesh
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool
-from morph_engine.trajectory import Trajectory, write_result
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import Trajectory, write_result
 
 N, T = 500, 4
 GENERATOR = np.random.default_rng(11)

@@ -6,11 +6,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from morph_engine import morph
+from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.geometry.shapes import make
+from morph_engine.optimal_transport import even_destinations, random_destinations, transport_plan
+from morph_engine.optimal_transport.partition import split, spread
 from morph_engine.presets import configure
-from morph_engine.sampling import sample_lattice
-from morph_engine.shapes import make
-from morph_engine.transport import even_destinations, random_destinations, transport_plan
-from morph_engine.transport.groups import split, spread
 
 SPACING = 0.5
 

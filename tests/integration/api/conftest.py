@@ -14,16 +14,16 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from server.service import Service
 
+from chamfer_morph.server.api_server import ApiServer
+from chamfer_morph.server.listener import address, listen
+from chamfer_morph.worker.settings import Settings
 from morph_engine import configure
 from morph_engine.morphing import prepare
-from morph_engine.run_record import RunRecord
-from morph_engine.spool import Spool
-from morph_engine.trajectory import write_result
-from server.answering import ApiServer
-from server.listening import address, listen
-from server.service import Service
-from worker.settings import Settings
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import write_result
 
 CUBE = """v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nv 0 0 10\nv 10 0 10\nv 10 10 10\nv 0 10 10
 f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7

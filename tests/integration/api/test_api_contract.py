@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from morph_engine.run_record import RunRecord
-from server.access import CACHE_SECONDS
-from server.app import create_app
-from server.contract import text
-from server.schemas import ProblemDocument
+from chamfer_morph.schemas import ProblemDocument
+from chamfer_morph.server.app import create_app
+from chamfer_morph.server.auth import CACHE_SECONDS
+from chamfer_morph.server.openapi import text
+from chamfer_morph.worker.settings import Settings
+from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
-from worker.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[3]
 CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text(encoding="utf-8"))
@@ -32,7 +32,7 @@ SAMPLES = {
 
 
 def test_the_committed_contract_is_the_apps() -> None:
-    """`python -m server openapi > openapi/openapi.json` brings it up to date."""
+    """`python -m chamfer_morph.server openapi > openapi/openapi.json` brings it up to date."""
     assert json.loads(text(create_app(Settings(_env_file=None)))) == CONTRACT
 
 

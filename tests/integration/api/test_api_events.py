@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 
-from server.watch import BATCH
+from chamfer_morph.server.event_hub import BATCH
 from tests.integration.api.conftest import Api
 
 STREAM = {"Accept": "text/event-stream"}

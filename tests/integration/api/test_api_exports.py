@@ -18,13 +18,13 @@ import pytest
 import trimesh
 from PIL import Image
 
-from client.api import MorphClient
-from client.service_error import ServiceError
+from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client.errors import ServiceError
+from chamfer_morph.server.routes import exports
+from chamfer_morph.worker import sandbox
 from morph_engine.export import FORMATS
-from morph_engine.run_record import RunRecord
-from server import exports
+from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
-from worker import limited
 
 
 def loaded(content: bytes, format: str) -> trimesh.Trimesh:
@@ -51,8 +51,8 @@ def test_the_surface_of_a_frame(api: Api, run: RunRecord, monkeypatch: pytest.Mo
         started.append(arguments[0])
         return limited_run(*arguments, **options)
 
-    limited_run = limited.run
-    monkeypatch.setattr(limited, "run", counted)
+    limited_run = sandbox.run
+    monkeypatch.setattr(sandbox, "run", counted)
     path = f"/v1/jobs/{api.running(run)}/frames/0/surface"
     with ThreadPoolExecutor(3) as pool:
         answers = list(pool.map(api.http.get, [path] * 3))

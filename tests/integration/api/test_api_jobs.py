@@ -12,7 +12,7 @@ import numpy as np
 
 from morph_engine import configure
 from morph_engine.morphing import prepare
-from morph_engine.spool import Spool
+from morph_engine.results.spool import Spool
 from tests.integration.api.conftest import MORPH, Api
 
 
@@ -221,7 +221,8 @@ def test_the_catalog_names_what_there_is(api: Api) -> None:
 def test_api_worker_and_janitor_never_load_taichi(api: Api) -> None:
     """It costs a second and memory, and only engine processes need it."""
     code = (
-        "import sys, server.app, server.answering, worker.workflow, worker.janitor; "
+        "import sys; from chamfer_morph.server import app, api_server; "
+        "from chamfer_morph.worker import workflow, janitor; "
         "sys.exit('taichi' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,7 +7,7 @@ import io
 import h5py
 import numpy as np
 
-from morph_engine.spool import Spool
+from morph_engine.results.spool import Spool
 
 
 def frames_of(api, job):

@@ -10,7 +10,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from server.tables import KEYS
+from chamfer_morph.server.database.tables import KEYS
 from tests.integration.api.conftest import MORPH, Api
 
 
@@ -117,7 +117,7 @@ def test_other_addresses_need_keys(tmp_path: Path) -> None:
     }  # fmt: skip
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "server", *arguments]
+        command = [sys.executable, "-m", "chamfer_morph.server", *arguments]
         return subprocess.run(
             command, env=environment, capture_output=True, text=True, timeout=60, check=False
         )

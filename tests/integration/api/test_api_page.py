@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from server import page
-from server.security_headers import POLICY
+from chamfer_morph.server.http.security_headers import POLICY
+from chamfer_morph.server.routes import web_page
 from tests.integration.api.conftest import Api
 
 
@@ -22,7 +22,7 @@ def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "assets" / "index-abc.js").write_text("plain")
     (folder / "assets" / "index-abc.js.gz").write_bytes(b"gzipped")
     (folder / "assets" / "index-abc.js.br").write_bytes(b"brotlied")
-    monkeypatch.setattr(page, "BUILT", folder)
+    monkeypatch.setattr(web_page, "BUILT", folder)
     return folder
 
 
@@ -79,7 +79,7 @@ def test_a_page_that_is_not_built_says_so(
     api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A sentence with the remedy, and the API works."""
-    monkeypatch.setattr(page, "BUILT", tmp_path / "nothing")
+    monkeypatch.setattr(web_page, "BUILT", tmp_path / "nothing")
     answer = api.http.get("/")
     assert answer.status_code == 404 and "make page" in answer.json()["remedy"]
     assert api.http.get("/v1/jobs").status_code == 200

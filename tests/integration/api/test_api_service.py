@@ -1,4 +1,4 @@
-"""The whole service in real processes: `python -m server serve`, a morph from submit to result."""
+"""The whole service in real processes, a morph from submit to result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ import psutil
 import pytest
 import trimesh
 
-from morph_engine.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory
 
 JOB: dict[str, Any] = {
     "source": {"shape": "sphere"},
@@ -77,7 +77,7 @@ def service(database_url: str, tmp_path: Path) -> Iterator[Service]:
         "MORPH_PORT": "0", "MORPH_WORKERS": "1",
     }  # fmt: skip
     process = subprocess.Popen(
-        [sys.executable, "-m", "server", "serve"],
+        [sys.executable, "-m", "chamfer_morph.server", "serve"],
         env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr

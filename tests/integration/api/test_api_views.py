@@ -14,9 +14,9 @@ import pytest
 import trimesh
 
 from morph_engine import configure
-from morph_engine.fields import FIELDS
 from morph_engine.morphing import prepare
-from morph_engine.run_record import RunRecord
+from morph_engine.results.fields import FIELDS
+from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import COARSE, CUBE, Api
 
 

@@ -1,0 +1,238 @@
+"""What a person sees: live progress on standard error, tables on standard output."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from chamfer_morph.cli.progress_display import Live
+from morph_engine.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+    from morph_engine.config import MorphConfig
+    from morph_engine.geometry.ingest import IngestReport
+    from morph_engine.morphing import Frame
+
+PIPED_WIDTH = 240
+"""Columns of a table that goes into a file or another program."""
+
+
+class RunDisplay(Live):
+    """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
+
+    On a terminal it is one live line; elsewhere each frame is a line of its own.
+
+    Args:
+        frame_count: Frames of the whole run.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
+        super().__init__(
+            TextColumn("{task.completed}/{task.total}"),
+            BarColumn(),
+            TextColumn("{task.description}"),
+            quiet=quiet,
+        )
+        self._frame_count = frame_count
+        self._recent: deque[float] = deque(maxlen=5)
+        self._task = self._progress.add_task("preparing", total=frame_count)
+
+    def show(self, frame: Frame) -> None:
+        """Show a finished frame."""
+        for event in frame.events:
+            self.note(event.message)
+        self.advance(frame.index, frame.metrics, frame.seconds)
+
+    def describe(self, text: str, *, done: int | None = None) -> None:
+        """Say what goes on, on a terminal only.
+
+        Args:
+            text: What goes on.
+            done: How much of the whole is finished, if that has changed.
+        """
+        self._progress.update(self._task, description=text, completed=done)
+
+    def advance(self, index: int, metrics: Mapping[str, float], seconds: float) -> None:
+        """Show that a frame is finished.
+
+        Args:
+            index: 0-based frame index.
+            metrics: Its metrics.
+            seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
+        """
+        done = index + 1
+        text = losses(metrics)
+        if seconds:
+            self._recent.append(seconds)
+            left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
+            text += f"  left {clock(left)}"
+        if self._progress.disable:
+            self._console.print(f"frame {index}  {done}/{self._frame_count}  {text}")
+        else:
+            self._progress.update(self._task, completed=done, description=text)
+
+
+def losses(metrics: Mapping[str, float]) -> str:
+    """The two numbers that tell how a run is going: loss and two-sided Chamfer distance [dx]."""
+    parts = [
+        f"{label} {metrics[name]:.4g}"
+        for label, name in (("loss", "loss_physics"), ("CD", "two_sided"))
+        if name in metrics
+    ]
+    return "  ".join(parts)
+
+
+def clock(seconds: float) -> str:
+    """A duration as people read it: 0:07, 12:40, 1:02:03."""
+    minutes, second = divmod(round(seconds), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+
+
+def size(byte_count: float) -> str:
+    """A number of bytes as people read it: 20 kB, 512 MB, 1.3 GB."""
+    megabytes = byte_count / 1e6
+    if megabytes < 1:
+        return f"{byte_count / 1e3:.0f} kB"
+    return f"{megabytes / 1e3:.1f} GB" if megabytes >= 1000 else f"{megabytes:.0f} MB"
+
+
+def print_report(report: IngestReport) -> None:
+    """What the engine sees in a mesh, on standard output."""
+    lower, upper = report.bounds
+    yes_no = {True: "yes", False: "no"}
+    print_table(
+        ("mesh", report.name),
+        (
+            ("vertices, faces", f"{report.vertex_count}, {report.face_count}"),
+            ("parts, Euler number", f"{report.component_count}, {report.euler}"),
+            ("watertight", yes_no[report.watertight]),
+            ("open edges", f"{report.open_edge_count}"),
+            ("ambiguous winding", f"{report.ambiguous_winding:.2%}"),
+            ("volume", f"{report.volume:.6g}"),
+            ("from", " ".join(f"{value:.4g}" for value in lower)),
+            ("to", " ".join(f"{value:.4g}" for value in upper)),
+            ("fits the domain", yes_no[report.fits_domain]),
+        ),
+    )
+    if report.resolutions:
+        sys.stdout.write("\n")
+        print_table(
+            ("points per cell edge", "particles", "time", "memory"),
+            (
+                (
+                    f"{resolution.points_per_cell_edge}",
+                    f"{resolution.particle_count}",
+                    clock(resolution.estimate.seconds),
+                    size(resolution.estimate.memory_mb * 1e6),
+                )
+                for resolution in report.resolutions
+            ),
+        )
+    for warning in report.warnings:
+        sys.stdout.write(f"\n{warning}\n")
+
+
+def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
+    """Settings with value, range and meaning, on standard output.
+
+    Args:
+        config: The configuration whose values are shown.
+        section: Only settings of this section, or of this dotted path.
+
+    Raises:
+        ConfigError: There is no such section.
+    """
+    from morph_engine.config import field_paths
+
+    fields = {
+        path: field
+        for path, field in field_paths().items()
+        if section is None or f"{path}.".startswith(f"{section}.")
+    }
+    if not fields:
+        sections = dict.fromkeys(path.split(".")[0] for path in field_paths() if "." in path)
+        raise ConfigError(
+            f"There is no section called {section!r}.", f"Choose one of {', '.join(sections)}."
+        )
+    print_table(
+        ("setting", "value", "allowed", "meaning"),
+        (
+            (path, _setting(config, path), _allowed(field), field.description or "")
+            for path, field in fields.items()
+        ),
+    )
+
+
+def _setting(config: MorphConfig, path: str) -> str:
+    value: object = config
+    for name in path.split("."):
+        value = getattr(value, name)
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _allowed(field: FieldInfo) -> str:
+    """The range of a setting in words: `>0, <=1`, or its choices `cubic | quadratic`."""
+    if get_origin(field.annotation) is Literal:
+        return " | ".join(get_args(field.annotation))
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    return ", ".join(
+        f"{sign}{getattr(bound, name):g}"
+        for bound in field.metadata
+        for name, sign in signs.items()
+        if hasattr(bound, name)
+    )
+
+
+HEADLINE = (
+    "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "many_to_one", "coverage",
+    "iou", "cover", "spill", "rho_p05", "rho_p95", "det_f_min", "det_f_max", "escaped",
+)  # fmt: skip
+"""The metrics a run ends with; the result file has all of them."""
+
+
+def print_summary(document: Mapping[str, Any]) -> None:
+    """The end of a run on standard output: headline metrics, what it cost, where it lies."""
+    print_metrics({name: document[name] for name in HEADLINE if name in document})
+    sys.stdout.write(
+        f"\n{document['frames']} frames of {document['particle_count']} particles in "
+        f"{clock(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
+        f"{size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
+    )
+
+
+def print_metrics(values: Mapping[str, float]) -> None:
+    """Metrics with their units and meanings on standard output."""
+    from morph_engine.metrics.point_metrics import METRICS
+
+    print_table(
+        ("metric", "value", "unit", "meaning"),
+        (
+            (name, f"{value:.4g}", METRICS[name].unit, METRICS[name].meaning)
+            for name, value in values.items()
+            if name in METRICS
+        ),
+    )
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table on standard output."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for column, name in enumerate(header):
+        table.add_column(name, overflow="fold", no_wrap=column == 0)
+    for row in rows:
+        table.add_row(*map(Text, row))  # Text: brackets are brackets, not markup
+    width = None if sys.stdout.isatty() else PIPED_WIDTH
+    Console(highlight=False, width=width).print(table)

@@ -1,0 +1,101 @@
+"""How a command ends: its exit status, and what a user reads when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from importlib import metadata
+
+import typer
+
+from chamfer_morph.client.errors import ServiceError
+from morph_engine.errors import MorphError
+
+UNEXPECTED, BAD_INPUT = 1, 2
+
+
+def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool) -> int:
+    """Run a command to its exit status; whatever it raises becomes a message, not a traceback.
+
+    Args:
+        command: The command; returns its exit status, None for success.
+        as_json: Report errors as one JSON object on standard output too.
+        debug: Let an unexpected exception through with its traceback.
+
+    Returns:
+        0, or 2 for input a user can mend, 3 without the service, 1 for a fault of the program.
+    """
+    problem: MorphError
+    try:
+        return command() or 0
+    except ServiceError as error:
+        problem, status = error, error.exit_status
+    except MorphError as error:
+        problem, status = error, BAD_INPUT
+    except typer.TyperException as error:
+        problem, status = _usage(error), BAD_INPUT
+    except BrokenPipeError:
+        # whoever read our output has enough; keep the interpreter's last flush quiet
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        problem = MorphError(
+            "There is not enough memory for this.",
+            "Use fewer points per cell edge, or free memory.",
+        )
+        status = BAD_INPUT
+    except Exception as error:
+        if debug:
+            raise
+        problem, status = _fault(error), UNEXPECTED
+    if as_json:
+        print_json(error_document(problem))
+    sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
+    return status
+
+
+def error_document(error: MorphError) -> dict[str, dict[str, str]]:
+    """An error as the JSON that every command prints for it."""
+    return {"error": {"cause": error.cause, "remedy": error.remedy}}
+
+
+def print_json(document: object) -> None:
+    """Write one JSON object to standard output; non-finite numbers become null."""
+    text = json.dumps(_finite(document), indent=2)
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return None
+    return value
+
+
+def _usage(error: typer.TyperException) -> MorphError:
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "morph"
+    return MorphError(f"{error.format_message().rstrip('.')}.", f"See {command} --help.")
+
+
+def _fault(error: Exception) -> MorphError:
+    frame = error.__traceback__
+    while frame and frame.tb_next:
+        frame = frame.tb_next
+    place = ""
+    if frame:
+        code = frame.tb_frame.f_code
+        place = f" in {os.path.basename(code.co_filename)}, line {frame.tb_lineno}"
+    version = metadata.version("chamfer-morph")
+    return MorphError(
+        f"This is a fault of the program: {type(error).__name__}: {error}{place}.",
+        f"Please report that line, your command, chamfer-morph {version}, Python "
+        f"{platform.python_version()} and {platform.platform()}; --debug shows the traceback.",
+    )

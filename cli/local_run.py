@@ -1,0 +1,166 @@
+"""One run from the command line: progress while it lasts, Ctrl-C, and what to say at its end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from chamfer_morph.cli import interrupt
+from chamfer_morph.cli.display import RunDisplay
+from chamfer_morph.cli.interrupt import at_interrupt
+from morph_engine import morphing
+from morph_engine.backend import Device
+from morph_engine.errors import ResultError
+from morph_engine.peak_memory import peak_memory
+from morph_engine.results.run_record import Json, RunRecord, software_versions
+from morph_engine.results.spool import Spool, spool_path
+from morph_engine.results.trajectory import Trajectory, write_result
+
+
+@dataclass
+class Summary:
+    """What a run has come to, complete or interrupted.
+
+    Attributes:
+        record: What the run is made of.
+        out: The result file.
+        frames: Number of finished frames.
+        metrics: Metrics of the last finished frame.
+        events: Events of all frames, as JSON.
+        interrupted: Whether Ctrl-C ended it.
+    """
+
+    record: RunRecord
+    out: Path
+    frames: int = 0
+    metrics: dict[str, float] = field(default_factory=dict)
+    events: list[Json] = field(default_factory=list)
+    interrupted: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """All of it, and what it cost this process, as one JSON object."""
+        process = psutil.Process()
+        return {
+            **self.metrics,
+            "frames": self.frames,
+            "particle_count": len(self.record.source_points),
+            "target_count": len(self.record.target_points),
+            "method": self.record.config["method"],
+            "preset": self.record.config["preset"],
+            "reference": "volume",
+            "interrupted": self.interrupted,
+            "out": str(self.out),
+            "wall_s": time.time() - process.create_time(),
+            "cpu_s": time.process_time(),
+            "peak_rss_mb": peak_memory() / 1e6,
+            "events": self.events,
+        }
+
+
+def run(
+    record: RunRecord,
+    out: Path,
+    *,
+    device: Device,
+    threads: int,
+    resume: bool = False,
+    force: bool = False,
+    quiet: bool = False,
+    on_interrupt: Callable[[Summary], None],
+) -> Summary:
+    """Run to the end, or to Ctrl-C; either way the finished frames are in the result file.
+
+    Args:
+        record: What to run.
+        out: The result file.
+        device: Where to compute.
+        threads: CPU threads; 0 takes every core.
+        resume: Go on with the unfinished run of `out`.
+        force: Replace a result or an unfinished run.
+        quiet: Show no progress.
+        on_interrupt: Says what the run has come to, before Ctrl-C ends the process.
+
+    Returns:
+        What it has come to.
+
+    Raises:
+        MorphError: The result file is there already, or as `morphing.run`.
+    """
+    if out.exists() and not (resume or force):
+        resumable = "continue it with --resume, " if spool_path(out).exists() else ""
+        raise ResultError(
+            f"{out} is there already.",
+            f"Choose another file with --out, {resumable}or replace it with --force.",
+        )
+    summary = Summary(record, out)
+    last = record.config["frames"] - 1
+    frames = morphing.run(
+        record, device=device, threads=threads, out=out, resume=resume, overwrite=force
+    )
+    with (
+        at_interrupt(lambda: on_interrupt(interrupted(record, out))),
+        RunDisplay(last + 1, quiet=quiet) as display,
+    ):
+        for frame in frames:
+            summary.frames = frame.index + 1
+            summary.metrics = frame.metrics
+            summary.events += [event.document() for event in frame.events]
+            display.show(frame)
+            if frame.index == last or any(event.kind == "stopped" for event in frame.events):
+                interrupt.ignore()  # what remains is to write the file
+    return summary
+
+
+def interrupted(record: RunRecord, out: Path) -> Summary:
+    """Make the result file of the frames that are safe by now, while the run still lasts.
+
+    Raises:
+        ResultError: The disk refuses.
+    """
+    try:
+        spool = Spool.open(out, writable=False)
+    except ResultError:  # the run has not begun
+        return Summary(record, out, interrupted=True)
+    with spool:
+        count = spool.frame_count
+        if count or not out.exists():
+            write_result(spool, status="partial")
+        metrics = spool.metrics(count - 1) if count else {}
+        return Summary(record, out, count, metrics, spool.events, interrupted=True)
+
+
+def repeated(result: Path) -> RunRecord:
+    """The record of a finished run, to be run again with the software of today.
+
+    Raises:
+        ResultError: The result cannot be read.
+    """
+    with Trajectory(result) as original:
+        record = original.run
+    versions = software_versions()
+    for name, version in versions.items():
+        if record.software.get(name) != version:
+            before = record.software.get(name, "absent")
+            sys.stderr.write(f"{name} was {before} then and is {version} now.\n")
+    return replace(record, software=versions)
+
+
+def rerun_difference(result: Path, summary: Summary) -> float:
+    """Largest distance between the particles of a result and of its rerun [dx].
+
+    Taken at the last frame that both have.
+
+    Raises:
+        ResultError: Either cannot be read.
+    """
+    with Trajectory(result) as original, Trajectory(summary.out) as again:
+        last = min(original.frame_count, again.frame_count) - 1
+        difference = original.positions(last) - again.positions(last)
+    return float(np.linalg.norm(difference, axis=1).max())

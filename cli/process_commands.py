@@ -1,0 +1,75 @@
+"""Commands that start the processes of the service on this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from morph_engine.errors import ConfigError
+
+PANEL = "The service"
+
+app = typer.Typer()
+
+DataDirOption = Annotated[Path | None, typer.Option(help="Where everything is kept.")]
+
+
+@app.command(rich_help_panel=PANEL)
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Jobs to compute at the same time.")] = None,
+    data_dir: DataDirOption = None,
+) -> None:
+    """Run the service on this machine: API, workers and janitor; Ctrl-C ends it, losing nothing.
+
+    Every other setting is a MORPH_* variable of the environment, see docs/settings.md.
+    """
+    options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA_DIR": data_dir}
+    os.execve(
+        sys.executable,
+        [sys.executable, "-m", "chamfer_morph.server", "serve"],
+        _environment(options),
+    )
+
+
+@app.command(rich_help_panel=PANEL)
+def worker(
+    slots: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Jobs to compute at the same time.")
+    ] = None,
+    gpus: Annotated[
+        str | None, typer.Option(metavar="all|0,2", help="A worker for each of these GPUs.")
+    ] = None,
+    data_dir: DataDirOption = None,
+) -> None:
+    """Join this machine to the service of MORPH_DATABASE_URL and MORPH_DATA_DIR.
+
+    Workers that die are started again. Ctrl-C or SIGTERM ends them all; their jobs go on elsewhere.
+    """
+    from chamfer_morph.cli.worker_slots import Slot, chosen_gpus, keep_running
+
+    if slots is not None and gpus is not None:
+        raise ConfigError("--slots and --gpus exclude each other.", "Give one of them.")
+    environment = _environment({"DATA_DIR": data_dir})
+    if gpus is None:
+        wanted = [Slot(number, environment) for number in range(slots or 1)]
+    else:
+        wanted = [
+            Slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu}) for gpu in chosen_gpus(gpus)
+        ]
+    raise typer.Exit(keep_running(wanted))
+
+
+def _environment(options: Mapping[str, object]) -> dict[str, str]:
+    """This process's environment with settings of the service.
+
+    PYTHONSAFEPATH keeps a folder called `server` or `worker` where the user stands out of the way.
+    """
+    given = {f"MORPH_{name}": str(value) for name, value in options.items() if value is not None}
+    return os.environ | given | {"PYTHONSAFEPATH": "1"}

@@ -1,0 +1,119 @@
+"""Many runs on a server: submitted once, watched, and fetched into the same store as local ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client.errors import ServiceError
+from chamfer_morph.reproduction.execution import Progress, Watcher, known_records
+from chamfer_morph.reproduction.meshes import SUFFIX, MeshFolder
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.store import Record, Store, measured
+from chamfer_morph.schemas import Job, JobState, MeshShape, Shape
+from morph_engine.errors import ResultError
+from morph_engine.results.trajectory import Trajectory
+
+POLL_SECONDS = 2.0
+
+
+def execute_remotely(
+    client: MorphClient,
+    runs: Sequence[Run],
+    store: Store,
+    meshes: MeshFolder,
+    *,
+    watch: Watcher = lambda progress: None,
+) -> dict[str, Record]:
+    """Have the runs that are not in the store yet computed by a service.
+
+    A repeated call meets the jobs of the first one; those that did not succeed go on.
+
+    Args:
+        client: Of the service.
+        runs: What is wanted.
+        store: Where results are and go.
+        meshes: Where meshes are; each is uploaded once.
+        watch: Told how far it is, every few seconds.
+
+    Returns:
+        The records of all runs by id, failed ones included.
+
+    Raises:
+        MorphError: A mesh is missing, or the service refuses or does not answer.
+    """
+    digests = {run.id: run.digest(meshes) for run in runs}
+    known = known_records(runs, store, digests)
+    missing = [run for run in runs if run.id not in known]
+    shapes = _upload(client, missing, meshes)
+    progress = Progress(missing)
+    jobs = {run.id: _submit(client, run, shapes, digests[run.id]) for run in missing}
+    while len(progress.finished) < len(missing):
+        for run in missing:
+            if run.id in progress.finished:
+                continue
+            job = jobs[run.id] = client.job(jobs[run.id].id, patient=True)
+            if job.state is JobState.QUEUED:
+                continue
+            if job.state.finished:
+                progress.frames.pop(run.id, None)
+                progress.finished[run.id] = _fetch(client, job, run, digests[run.id], store)
+            else:
+                progress.frames[run.id] = job.progress.frame
+            watch(progress)
+        watch(progress)
+        if len(progress.finished) < len(missing):
+            time.sleep(POLL_SECONDS)
+    return known | progress.finished
+
+
+def _upload(client: MorphClient, runs: Sequence[Run], meshes: MeshFolder) -> dict[str, str]:
+    """Upload the meshes of runs; ids of meshes by name."""
+    names = sorted({name for run in runs for name in run.shapes if name.endswith(SUFFIX)})
+    return {name: client.upload_mesh(Path(meshes.locate(name))).id for name in names}
+
+
+def _submit(client: MorphClient, run: Run, uploaded: dict[str, str], digest: str) -> Job:
+    source, target = (_shape(name, uploaded) for name in run.shapes)
+    job = client.submit(
+        source,
+        target,
+        preset=run.preset,
+        overrides=run.settings,
+        name=run.id,
+        idempotency_key=f"reproduce {run.id} {digest}",
+    )
+    stopped = (JobState.FAILED, JobState.CANCELLED, JobState.TIMED_OUT)
+    return client.resume(job.id) if job.state in stopped else job
+
+
+def _shape(name: str, uploaded: dict[str, str]) -> Shape | str:
+    return MeshShape(mesh=uploaded[name]) if name in uploaded else name
+
+
+def _fetch(client: MorphClient, job: Job, run: Run, digest: str, store: Store) -> Record:
+    """The record of a finished job; its result comes into the store."""
+    if job.state is not JobState.SUCCEEDED:
+        cause = job.problem.cause if job.problem else f"The job is {job.state.value}."
+        return store.save_failure(run, digest, f"{cause} (job {job.id})")
+    path = store.result_path(run)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        client.download(job.id, path)
+        with Trajectory(path) as result:
+            if result.config != run.config().model_dump(mode="json"):
+                return store.save_failure(
+                    run, digest, f"The service computes with other settings (job {job.id})."
+                )
+            cost = job.outcome.cpu_seconds if job.outcome else 0.0
+            record = measured(run, digest, result, cpu_seconds=cost)
+    except ServiceError as error:
+        if error.status is None:
+            raise
+        return store.save_failure(run, digest, str(error))
+    except ResultError as error:
+        return store.save_failure(run, digest, str(error))
+    store.save(record)
+    return record

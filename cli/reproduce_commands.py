@@ -1,0 +1,154 @@
+"""`morph reproduce`: the paper's tables, computed here or by a service."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from chamfer_morph.cli import interrupt
+from chamfer_morph.cli.connection import KeyOption, connect
+from chamfer_morph.cli.exit_status import print_json
+
+if TYPE_CHECKING:
+    from chamfer_morph.reproduction.catalog import Subject
+    from chamfer_morph.reproduction.meshes import MeshFolder
+    from chamfer_morph.reproduction.section import Section
+    from chamfer_morph.reproduction.store import Record, Store
+
+app = typer.Typer()
+
+RUN_FAILED = 1
+
+
+@app.command()
+def reproduce(
+    tables: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[TABLE...]", help="Names, or all; the list of them if absent."),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Runs at the same time; one a core.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Preset fast in place of published.")
+    ] = False,
+    results: Annotated[
+        Path, typer.Option(help="Where runs, tables, figures and report go.")
+    ] = Path("reproduced"),
+    meshes: Annotated[
+        Path, typer.Option(envvar="MORPH_MESHES", help="Folder of the paper's meshes.")
+    ] = Path("meshes"),
+    server: Annotated[
+        str | None, typer.Option(help="Have the service at this address compute the runs.")
+    ] = None,
+    key: KeyOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
+    ] = False,
+) -> None:
+    """Reproduce tables and figures of the paper, each number beside the printed one.
+
+    What has been computed is kept and used again; an interrupted command goes on when repeated.
+    """
+    from chamfer_morph.reproduction.catalog import choose, runs_of
+    from chamfer_morph.reproduction.meshes import MeshFolder
+    from chamfer_morph.reproduction.output import write
+    from chamfer_morph.reproduction.store import Store
+
+    if not tables:
+        return _list(as_json=as_json)
+    subjects = choose(tables, quick=quick)
+    folder, store = MeshFolder(meshes), Store(results)
+    folder.check(name for run in runs_of(subjects) for name in run.shapes)
+    records = _compute(subjects, store, folder, jobs=jobs, server=server, key=key, quiet=quiet)
+    output = write(subjects, records, store)
+    failed = [record for record in records.values() if not record.is_complete]
+    if as_json:
+        print_json(
+            {
+                "report": str(output.report),
+                "tables": {section.name: _document(section) for section in output.sections},
+                "failed": {record.run.id: record.problem for record in failed},
+            }
+        )
+    else:
+        from chamfer_morph.cli.reproduce_display import print_section
+
+        for section in output.sections:
+            print_section(section)
+        typer.echo(f"\n{output.report}")
+    for record in failed:
+        sys.stderr.write(f"{record.run.id} failed: {record.problem}\n")
+    if failed:
+        raise typer.Exit(RUN_FAILED)
+
+
+def _compute(
+    subjects: tuple[Subject, ...],
+    store: Store,
+    meshes: MeshFolder,
+    *,
+    jobs: int | None,
+    server: str | None,
+    key: str | None,
+    quiet: bool,
+) -> dict[str, Record]:
+    """Compute what is missing, here or by a service; the records of all runs."""
+    from chamfer_morph.cli.reproduce_display import ReproductionDisplay, say_plan
+    from chamfer_morph.reproduction.catalog import runs_of
+    from chamfer_morph.reproduction.execution import execute, known_records, usual_jobs
+
+    at_once = jobs or usual_jobs()
+    runs = runs_of(subjects)
+    known = known_records(runs, store, {run.id: run.digest(meshes) for run in runs})
+    missing = [run for run in runs if run.id not in known]
+    if not quiet:
+        say_plan(missing, known=len(known), jobs=at_once, server=server)
+    with (
+        interrupt.at_interrupt(lambda: _say_left(server)),
+        ReproductionDisplay(jobs=at_once, quiet=quiet) as display,
+    ):
+        if server is None:
+            return execute(runs, store, meshes, jobs=at_once, watch=display.show)
+        from chamfer_morph.cli.remote_runs import execute_remotely
+
+        with connect(server, key) as client:
+            return execute_remotely(client, runs, store, meshes, watch=display.show)
+
+
+def _say_left(server: str | None) -> None:
+    what = "the jobs of the service go on" if server else "finished frames are kept"
+    interrupt.say(f"Stopped by Ctrl-C; {what}.", "Continue with the same command.")
+
+
+def _list(*, as_json: bool) -> None:
+    """Say what there is to reproduce."""
+    from chamfer_morph.cli.display import clock, print_table
+    from chamfer_morph.reproduction.catalog import SUBJECTS, cpu_seconds_of, runs_of
+
+    rows = [
+        (name, subject.title, subject.origin, len(runs_of([subject])), cpu_seconds_of([subject]))
+        for name, subject in SUBJECTS.items()
+    ]
+    if as_json:
+        names = ("name", "title", "origin", "runs", "cpu_seconds")
+        print_json({"tables": [dict(zip(names, row, strict=True)) for row in rows]})
+    else:
+        print_table(
+            ("table", "what it is", "in the paper", "runs", "CPU time"),
+            ((*row[:3], str(row[3]), clock(row[4])) for row in rows),
+        )
+        typer.echo("\nTables share runs, so all takes less than their sum.")
+
+
+def _document(section: Section) -> dict[str, Any]:
+    """A section as JSON: every number by row and metric, and what they show."""
+    import csv
+    import io
+
+    numbers = list(csv.DictReader(io.StringIO(section.csv)))
+    return {"title": section.title, "verdict": list(section.verdict), "numbers": numbers}

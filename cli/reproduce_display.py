@@ -1,0 +1,125 @@
+"""A reproduction while it lasts, live on standard error, and its tables on standard output."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from chamfer_morph.cli.display import PIPED_WIDTH, clock
+from chamfer_morph.cli.progress_display import Live
+from chamfer_morph.reproduction.execution import Progress as RunProgress
+from chamfer_morph.reproduction.run import Run
+from chamfer_morph.reproduction.section import Grid, Section
+from chamfer_morph.reproduction.store import Record
+
+SETTLED_SHARE = 0.02
+"""From here on the time left follows from what has been measured, not from the estimate."""
+
+
+class ReproductionDisplay(Live):
+    """A line for the whole and one for each run under way; elsewhere a line per finished run.
+
+    Args:
+        jobs: Runs at the same time, for the time left until something has been measured.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, *, jobs: int, quiet: bool) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[note]}"),
+            quiet=quiet,
+        )
+        self._jobs = jobs
+        self._whole = self._progress.add_task("all", total=1.0, note="")
+        self._tasks: dict[str, TaskID] = {}
+        self._told: set[str] = set()
+        self._begun = time.monotonic()
+        self._done_at_first: float | None = None
+
+    def show(self, progress: RunProgress) -> None:
+        """Show how far the runs have come."""
+        left = clock(self._seconds_left(progress))
+        counts = f"{len(progress.finished)}/{len(progress.runs)} runs"
+        for run_id, record in progress.finished.items():
+            if run_id not in self._told:
+                self._told.add(run_id)
+                self.note(f"{counts}  {_outcome(record)}  left {left}")
+        share = progress.cost_done / progress.cost if progress.runs else 1.0
+        self._progress.update(self._whole, completed=share, note=f"{counts}  left {left}")
+        frames = {run.id: run.frames for run in progress.runs}
+        for run_id in self._tasks.keys() - progress.frames.keys():
+            self._progress.remove_task(self._tasks.pop(run_id))
+        for run_id, done in progress.frames.items():
+            if run_id not in self._tasks:
+                self._tasks[run_id] = self._progress.add_task(run_id, total=frames[run_id], note="")
+            note = f"frame {done}/{frames[run_id]}" if done else "starting"
+            self._progress.update(self._tasks[run_id], completed=done, note=note)
+
+    def _seconds_left(self, progress: RunProgress) -> float:
+        if self._done_at_first is None:
+            self._done_at_first = progress.cost_done  # frames of an earlier attempt cost no time
+        done = progress.cost_done - self._done_at_first
+        left = progress.cost - progress.cost_done
+        if done > SETTLED_SHARE * progress.cost:
+            return left * (time.monotonic() - self._begun) / done
+        return left / self._jobs
+
+
+def say_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | None) -> None:
+    """Say on standard error what is about to be computed, and how long that takes about."""
+    cost = sum(run.expected_cpu_seconds for run in missing)
+    plan = f"{len(missing)} runs to compute, {known} are there already."
+    if missing and server is None:
+        cores = min(jobs, os.cpu_count() or 1)
+        plan += f" About {clock(cost)} of CPU time, {clock(cost / cores)} with {jobs} at a time."
+    elif missing:
+        plan += f" About {clock(cost)} of CPU time, by {server}."
+    sys.stderr.write(f"{plan}\n")
+
+
+def print_section(section: Section) -> None:
+    """A section of the report on standard output."""
+    width = None if sys.stdout.isatty() else PIPED_WIDTH
+    console = Console(highlight=False, width=width)
+    console.print(Text(f"\n{section.title} ({section.origin})", style="bold"))
+    if section.grid:
+        console.print(_table(section.grid))
+    for sentence in section.verdict:
+        console.print(Text(sentence))
+
+
+def _table(grid: Grid) -> Table:
+    """A line per number: printed, published program, ours, difference."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("row", overflow="fold")
+    table.add_column("metric", no_wrap=True)
+    kinds = list(dict.fromkeys(grid.columns))
+    for kind in kinds:
+        table.add_column(kind, justify="right", no_wrap=True)
+    for name, _, entries in grid.rows:
+        place = 0
+        for heading, span in grid.headings:
+            cells = dict.fromkeys(kinds, Text(""))
+            for kind, entry in zip(
+                grid.columns[place : place + span], entries[place : place + span], strict=True
+            ):
+                text = f"{entry.text} *" if entry.is_best else entry.text
+                cells[kind] = Text(text, style="bold" if entry.is_best else "")
+            table.add_row(Text(name if place == 0 else ""), Text(heading), *cells.values())
+            place += span
+    return table
+
+
+def _outcome(record: Record) -> str:
+    if not record.is_complete:
+        return f"{record.run.id} failed: {record.problem}"
+    return f"{record.run.id}  CD {record.metrics['two_sided']:.4f}"

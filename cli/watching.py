@@ -1,0 +1,74 @@
+"""Jobs and sweeps while they last, live on standard error."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from chamfer_morph.cli.display import RunDisplay
+from chamfer_morph.client.client import MorphClient
+from chamfer_morph.schemas import Event, Job, JobState, Sweep
+
+POLL_SECONDS = 1.0
+
+
+def watch_job(client: MorphClient, job: Job, *, quiet: bool) -> Job:
+    """Show a job until it is finished.
+
+    Returns:
+        The job as it ended.
+    """
+    with RunDisplay(job.progress.frames, quiet=quiet) as display:
+        _wait_for_start(client, job, display)
+        for event in client.events(job.id):
+            _show(event, display)
+    return client.job(job.id, patient=True)
+
+
+def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool) -> Sweep:
+    """Show a sweep until all of its jobs are finished.
+
+    Returns:
+        The sweep as it ended.
+    """
+    with RunDisplay(len(sweep.rows), quiet=quiet) as display:
+        known = {row.job: row.state for row in sweep.rows if row.state.finished}
+        while len(known) < len(sweep.rows):
+            time.sleep(POLL_SECONDS)
+            sweep = client.sweep_status(sweep.id, patient=True)
+            for row in sweep.rows:
+                if row.state.finished and row.job not in known:
+                    known[row.job] = row.state
+                    what = f"{row.source} to {row.target}, {row.method}, seed {row.seed}"
+                    display.note(f"{row.state.value}: {what} ({row.job})")
+            display.describe(_counts(sweep.counts), done=len(known))
+    return sweep
+
+
+def _wait_for_start(client: MorphClient, job: Job, display: RunDisplay) -> None:
+    before: int | None = None
+    while job.state is JobState.QUEUED:
+        if job.queue_position != before:
+            before = job.queue_position
+            text = f"queued, {before} before it" if before else "queued"
+            display.describe(text)
+        time.sleep(POLL_SECONDS / 4)
+        job = client.job(job.id, patient=True)
+    display.describe("preparing")
+
+
+def _show(event: Event, display: RunDisplay) -> None:
+    data = event.data
+    if event.type == "frame":
+        display.advance(data["frame"], data["metrics"], data["seconds"])
+    elif event.type == "watchdog":
+        display.note(data["message"])
+    elif event.type == "attempt" and (data["attempt"] > 1 or data["resumed_frames"]):
+        display.note(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
+    elif event.type == "problem" and data["retry"]:
+        display.note(f"{data['cause']} It is tried again.")
+
+
+def _counts(counts: Mapping[JobState, Any]) -> str:
+    return "  ".join(f"{count} {state.value}" for state, count in counts.items() if count)

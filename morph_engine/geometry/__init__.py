@@ -1,0 +1,1 @@
+"""Shapes, meshes, and the particles that fill them."""

@@ -1,0 +1,258 @@
+"""Triangle meshes and the files they come from."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from morph_engine.errors import MeshError
+from morph_engine.geometry.topology import signed_volume
+
+FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
+FILE_BYTES_LIMIT = 256 * 2**20
+INSTANCE_LIMIT = 20_000_000
+COORDINATE_LIMIT = 1e9
+
+AREA_LIMIT = 30.0
+"""Most surface area, in areas of the bounding box; a fine foam has 10, scrambled indices 1000."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh whose faces are counter-clockwise seen from outside.
+
+    Attributes:
+        vertices: Corner positions in the file's own coordinates, shape [v, 3], float64.
+        faces: Vertex indices of the triangles, shape [f, 3], int32.
+        name: File or shape name, for messages.
+        sha256: Digest of the file, or of the arrays of a built-in shape.
+        repairs: What was changed on loading, one sentence each.
+    """
+
+    vertices: npt.NDArray[np.float64]
+    faces: npt.NDArray[np.int32]
+    name: str
+    sha256: str
+    repairs: tuple[str, ...] = ()
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """Lower and upper corner of the bounding box, shape [2, 3], float64."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume; overlapping parts count twice."""
+        return signed_volume(self.vertices, self.faces)
+
+
+def make_mesh(
+    vertices: npt.ArrayLike, faces: npt.ArrayLike, *, name: str, sha256: str | None = None
+) -> Mesh:
+    """Make a mesh from arrays, without unused vertices and repeated faces, and right side out.
+
+    Args:
+        vertices: Corner positions, shape [v, 3].
+        faces: Vertex indices, shape [f, 3].
+        name: Name for messages.
+        sha256: Digest of its origin; of the arrays by default.
+
+    Returns:
+        The mesh, with positive volume.
+
+    Raises:
+        MeshError: There are no faces, an index is out of range, a coordinate is not finite or
+            beyond 1e9, the mesh has no volume, or its faces criss-cross the bounding box.
+    """
+    points = np.asarray(vertices, np.float64).reshape(-1, 3)
+    corners = np.asarray(faces, np.int64).reshape(-1, 3)
+    if not len(corners):
+        raise MeshError(f"{name} has no faces.", "Export it as a triangle mesh.")
+    if corners.min() < 0 or corners.max() >= len(points):
+        raise _index_error(name)
+    used, corners = np.unique(corners, return_inverse=True)
+    points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
+    broken = np.count_nonzero(~np.isfinite(points).all(axis=1))
+    if broken:
+        raise MeshError(
+            f"{broken} of the {len(points)} vertices of {name} are not finite numbers.",
+            "Export the mesh again, or delete these vertices.",
+        )
+    if np.abs(points).max() > COORDINATE_LIMIT:
+        raise MeshError(
+            f"{name} has coordinates beyond {COORDINATE_LIMIT:.0e}.",
+            "Move it to the origin and scale it down.",
+        )
+    repairs: tuple[str, ...] = ()
+    distinct = _distinct(points, triangles)
+    if len(distinct) < len(triangles):
+        repairs += (f"{len(triangles) - len(distinct)} repeated faces have been dropped.",)
+        triangles = triangles[distinct]
+    volume = signed_volume(points, triangles)
+    if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
+        raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
+    area_ratio = _area_ratio(points, triangles)
+    if area_ratio > AREA_LIMIT:
+        raise MeshError(
+            f"The faces of {name} have {area_ratio:.0f} times the area of its bounding box, as if "
+            "their indices were scrambled.",
+            "Export the mesh again.",
+        )
+    if volume < 0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
+        repairs += ("The surface was inside out and has been turned.",)
+    digest = sha256 or hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()
+    return Mesh(points, triangles, name, digest, repairs)
+
+
+def load_mesh(path: str | Path) -> Mesh:
+    """Read a mesh; its coordinates stay as they are in the file (algorithm 1.1).
+
+    Args:
+        path: OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh.
+
+    Returns:
+        The mesh, turned right side out.
+
+    Raises:
+        MeshError: The file is missing, empty, too large or unreadable, or its mesh is unusable.
+    """
+    path = Path(path)
+    kind = path.suffix[1:].lower()
+    if kind not in FORMATS:
+        raise MeshError(
+            f"{path.name} is not in a known mesh format.",
+            "Export it as OBJ, PLY, STL, OFF or GLB.",
+        )
+    data = _read(path)
+    try:
+        vertices, faces = _parse(data, kind)
+    except MeshError:
+        raise
+    except IndexError as error:
+        raise _index_error(path.name) from error
+    except Exception as error:  # parsers raise anything on a damaged file
+        raise MeshError(
+            f"{path.name} is not a readable {kind.upper()} file.",
+            "Check that the file is complete, or export the mesh again as OBJ, STL or GLB.",
+        ) from error
+    return make_mesh(vertices, faces, name=path.name, sha256=hashlib.sha256(data).hexdigest())
+
+
+def _distinct(
+    points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]
+) -> npt.NDArray[np.intp]:
+    """Ascending indices of the faces that repeat no earlier one, corner by corner."""
+    _, same = np.unique(points, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[triangles]
+    turn = corners.argmin(axis=1)[:, None] + np.arange(3)
+    _, first = np.unique(np.take_along_axis(corners, turn % 3, axis=1), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def _area_ratio(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> float:
+    """Area of the faces divided by that of the bounding box."""
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    width, height, depth = np.ptp(points, axis=0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    return float(area / (2 * (width * height + height * depth + depth * width)))
+
+
+def _read(path: Path) -> bytes:
+    """Read a whole file of reasonable size."""
+    try:
+        size = path.stat().st_size
+        if size > FILE_BYTES_LIMIT:
+            raise MeshError(
+                f"{path.name} has {size / 2**20:.0f} MiB, more than {FILE_BYTES_LIMIT >> 20}.",
+                "Decimate the mesh; the simulation sees no detail below half a grid unit.",
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise MeshError(
+            f"{path} cannot be read: {error.strerror or error}.",
+            "Check the path, or use a built-in shape (morph shapes lists them).",
+        ) from error
+    if not data.strip():
+        raise MeshError(f"{path.name} is empty.", "Export the mesh again.")
+    return data
+
+
+def _parse(data: bytes, kind: str) -> tuple[npt.ArrayLike, npt.ArrayLike]:
+    """Turn the bytes of a mesh file into vertices and faces, opening no other file."""
+    if kind == "obj":
+        _check_obj(data)
+    elif kind in ("glb", "gltf"):
+        _check_gltf(data, kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # NumPy only warns when text between numbers makes it stop reading.
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
+        mesh = trimesh.load_mesh(
+            io.BytesIO(data), file_type=kind, process=False, skip_materials=True
+        )
+    return mesh.vertices, mesh.faces
+
+
+def _check_obj(data: bytes) -> None:
+    """Refuse the face indices that trimesh would silently take for others."""
+    if re.search(rb"(?m)^f[ \t](?:.*[ \t])?0(?:[/ \t\r]|$)", data):
+        raise IndexError("OBJ counts vertices from one")
+    relative = re.search(rb"(?m)^f[ \t](?:.*[ \t])?-[0-9]", data)
+    if relative and data.find(b"\nv ", relative.start()) >= 0:
+        raise MeshError(
+            "The OBJ file counts vertices backwards, in the midst of their list.",
+            "Export the mesh again with absolute indices, or as STL or GLB.",
+        )
+
+
+def _check_gltf(data: bytes, kind: str) -> None:
+    """Refuse a glTF header that points outside its file or unfolds to more than it holds."""
+    if kind == "glb":
+        data_start = 20
+        header = json.loads(data[data_start : data_start + int.from_bytes(data[12:16], "little")])
+    else:
+        header = json.loads(data)
+    accessors: list[dict[str, Any]] = header.get("accessors", [])
+    if any(
+        not buffer["uri"].startswith("data:")
+        for buffer in header.get("buffers", [])
+        if "uri" in buffer
+    ):
+        raise MeshError(
+            "The glTF file keeps its geometry in another file.", "Export it as GLB, in one file."
+        )
+    if any("bufferView" not in accessor or "sparse" in accessor for accessor in accessors):
+        raise MeshError(
+            "The glTF file is compressed or sparse.", "Export it as GLB without compression."
+        )
+    viewed = sum(view["byteLength"] for view in header.get("bufferViews", []))
+    counted = sum(accessor["count"] for accessor in accessors)
+    weights = [
+        sum(
+            accessors[index]["count"]
+            for primitive in mesh["primitives"]
+            for index in (primitive["attributes"]["POSITION"], primitive.get("indices"))
+            if index is not None
+        )
+        for mesh in header.get("meshes", [])
+    ]
+    shown = sum(weights[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node)
+    if not (max(viewed, counted) <= 4 * len(data) and shown + sum(weights) <= INSTANCE_LIMIT):
+        raise MeshError("The glTF file declares more data than it holds.", "Export the mesh again.")
+
+
+def _index_error(name: str) -> MeshError:
+    return MeshError(
+        f"A face of {name} refers to a vertex that does not exist.", "Export the mesh again."
+    )

@@ -1,0 +1,114 @@
+"""What the methods share that move points directly, without physics (algorithm 8.2)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine import backend
+from morph_engine.errors import SimulationError
+from morph_engine.geometry.neighbors import REACH
+from morph_engine.losses.chamfer import Matches
+from morph_engine.methods.protocol import FrameOutcome, Method, Problem
+from morph_engine.optimization.amsgrad import AMSGrad
+
+
+class PointLoss(Protocol):
+    """What is descended."""
+
+    def value(self) -> float:
+        """The loss at the particles as they are."""
+
+    def gradient(self, x: Any, gradient: Any) -> None:
+        """Set `gradient` [n, 3] to that at particles x [dx], shape [n, 3], device arrays."""
+
+
+class PointOptimisation(Method):
+    """A loss of the positions, descended by AMSGrad; a frame is a fixed number of steps.
+
+    The optimiser's state is continuous over all frames. Nearest neighbours are exact and
+    recomputed in every step.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        device = backend.active()
+        self._x = device.upload(problem.source)
+        self._gradient = device.vectors(len(problem.source))
+        self._matches = Matches(device.upload(problem.target), self._x)
+        self._matches.update(self._x)
+        self._loss = self._make_loss()
+        self._optimizer = self._make_optimizer()
+
+    def advance(self, frame: int) -> FrameOutcome:
+        """Make the steps of one frame."""
+        before = self.state()
+        self._matches.rebuild(self._x)
+        self._begin(frame)
+        for _ in range(self.problem.config.points.steps_per_frame):
+            self._differentiate()
+            self._move()
+            self._matches.update(self._x)
+        positions = self._x.to_numpy()
+        if not (np.abs(positions) <= REACH).all():
+            self.restore(before)
+            raise SimulationError(
+                f"Frame {frame} of method {self.name} has particles at non-finite positions.",
+                "Lower the learning rate, or the weights of the regularisers.",
+            )
+        d_fwd, d_rev = self._matches.distances()
+        return FrameOutcome(
+            positions=positions.astype(np.float32),
+            d_fwd=d_fwd,
+            nearest_fwd=self._matches.forward.to_numpy(),
+            d_rev=d_rev,
+            numbers={"loss_points": self._value()},
+        )
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Positions, shape [n, 3], and the optimiser's moments and steps."""
+        return {"x": self._x.to_numpy(), **self._optimizer.state()}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take up a state that `state` returned."""
+        self._x.from_numpy(state["x"])
+        self._optimizer.restore(state)
+        self._matches.rebuild(self._x)
+        self._matches.update(self._x)
+
+    @abstractmethod
+    def _make_loss(self) -> PointLoss:
+        """The loss that is descended."""
+
+    def _make_optimizer(self) -> AMSGrad:
+        """The optimiser of the variables, which are the positions."""
+        points = self.problem.config.points
+        return self._amsgrad(len(self.problem.source), points.learning_rate)
+
+    def _amsgrad(self, count: int, learning_rate: float) -> AMSGrad:
+        config = self.problem.config
+        return AMSGrad(
+            count,
+            learning_rate=learning_rate,
+            beta1=config.optimizer.beta1,
+            beta2=config.optimizer.beta2,
+            epsilon=config.points.epsilon,
+        )
+
+    def _begin(self, frame: int) -> None:
+        """Refresh what stays constant within a frame."""
+
+    def _value(self) -> float:
+        """What the method minimises, at the positions matched last."""
+        return self._loss.value()
+
+    def _differentiate(self) -> None:
+        """Set the gradient by the positions."""
+        self._loss.gradient(self._x, self._gradient)
+
+    def _move(self) -> None:
+        """Make one step."""
+        self._optimizer.step(self._x, self._gradient)

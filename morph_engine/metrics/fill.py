@@ -1,0 +1,168 @@
+"""Floor-free numbers: how well particles fill a shape, whatever the phase of the target's lattice.
+
+The Chamfer distance to a lattice mixes coverage with registration to the lattice (algorithm 9.1).
+The numbers here see what a person sees: holes, spill and clumps (algorithm 9.2), and particles
+that stick out of the target's surface. Their short definitions stand with all others in
+`morph_engine.metrics.point_metrics.METRICS`.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import TYPE_CHECKING
+
+import igl
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from morph_engine.geometry.sampling import inside
+from morph_engine.metrics.point_metrics import (
+    COVERING_RADIUS_OVER_H,
+    Points,
+    finite_points,
+    target_points,
+)
+
+if TYPE_CHECKING:
+    from morph_engine.geometry.mesh import Mesh
+
+__all__ = ["density_ratio", "fill_metrics", "outside_metrics"]
+
+QUANTILES = {"rho_p01": 0.01, "rho_p05": 0.05, "rho_p50": 0.5, "rho_p95": 0.95, "rho_p99": 0.99}
+AXIS_BITS = 21
+"""Bits of a raster index along one axis: three of them pack into an int64."""
+
+
+def fill_metrics(
+    positions: npt.ArrayLike,
+    target: npt.ArrayLike,
+    *,
+    spacing: float,
+    grid_spacing: float = 1.0,
+    workers: int = 1,
+) -> dict[str, float]:
+    """Volume overlap and evenness of a fill (algorithm 9.2).
+
+    With R(S) the nodes of a raster of step dx/4 that lie closer than 0.87 h to a point of S,
+    A = R(particles) and B = R(target)::
+
+        iou = #(A n B) / #(A u B)     cover = #(A n B) / #B     spill = #(A - B) / #A
+        rho_j = (particles within dx of q_j / target points within dx of q_j) / (N / M)
+
+    A raster node sits one dx outside the least corner of the joint bounding box. A lattice finer
+    than dx/4 or coarser than dx takes the step h or h/4 instead, which keeps the balls free of
+    holes and the cost bounded.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3].
+        target: Target points filling the volume [dx], shape [m, 3].
+        spacing: Lattice spacing h of the target [dx].
+        grid_spacing: Cell edge dx of the simulation grid, 1 in its own units.
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        ``iou``, ``cover``, ``spill`` and the 1, 5, 50, 95 and 99 % quantiles of rho over all
+        target points, ``rho_p01`` to ``rho_p99``. Particles that are not finite, or some 10^6
+        raster steps away from the target, take no part; with none left, all is 0 and spill 1.
+
+    Raises:
+        MeshError: Either array has the wrong shape, or the target is empty or not finite.
+    """
+    points, _ = finite_points(positions)
+    goal = target_points(target)
+    step = float(np.clip(grid_spacing / 4, spacing / 4, spacing))
+    reach = (2 ** (AXIS_BITS - 1) - 16) * step
+    near = (np.abs(points - (goal.min(axis=0) + goal.max(axis=0)) / 2) < reach).all(axis=1)
+    points = points[near]
+    if not len(points):
+        return {"iou": 0.0, "cover": 0.0, "spill": 1.0} | dict.fromkeys(QUANTILES, 0.0)
+
+    radius = COVERING_RADIUS_OVER_H * spacing
+    least = np.minimum(points.min(axis=0), goal.min(axis=0))
+    corner = least - max(grid_spacing, radius)
+    filled = _raster_nodes(points - corner, radius=radius, step=step)
+    wanted = _raster_nodes(goal - corner, radius=radius, step=step)
+    shared = np.intersect1d(filled, wanted, assume_unique=True).size
+    ratio = density_ratio(points, goal, radius=grid_spacing, workers=workers)
+    quantiles = np.quantile(ratio, list(QUANTILES.values()))
+    return {
+        "iou": shared / (filled.size + wanted.size - shared),
+        "cover": shared / wanted.size,
+        "spill": 1 - shared / filled.size,
+    } | dict(zip(QUANTILES, quantiles.tolist(), strict=True))
+
+
+def outside_metrics(positions: npt.ArrayLike, mesh: Mesh) -> dict[str, float]:
+    """How many particles stick out of the target mesh, and how far.
+
+    A particle is outside where the generalised winding number is below 1/2, the test that made
+    the target's lattice (algorithm 1.2). Its distance is to the nearest point of any triangle; at
+    a hole of an open mesh this is the hole's rim, so the distance there is an upper bound.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3].
+        mesh: Target mesh in grid units.
+
+    Returns:
+        ``outside_share`` of the finite particles, and ``outside_mean`` and ``outside_max`` [dx]
+        over those outside, 0 if there is none. With no finite particle 1, inf and inf.
+
+    Raises:
+        MeshError: The positions have the wrong shape.
+    """
+    points, _ = finite_points(positions)
+    if not len(points):
+        return {"outside_share": 1.0, "outside_mean": math.inf, "outside_max": math.inf}
+    outside = np.ascontiguousarray(points[~inside(mesh, points)])
+    if not len(outside):
+        return {"outside_share": 0.0, "outside_mean": 0.0, "outside_max": 0.0}
+    faces = mesh.faces.astype(np.int64)
+    squared, _, _ = igl.point_mesh_squared_distance(outside, mesh.vertices, faces)
+    distance = np.sqrt(squared)
+    return {
+        "outside_share": len(outside) / len(points),
+        "outside_mean": float(distance.mean()),
+        "outside_max": float(distance.max()),
+    }
+
+
+def _raster_nodes(points: Points, *, radius: float, step: float) -> npt.NDArray[np.int64]:
+    """Sorted keys of the raster nodes ``step * (i, j, k)`` closer than ``radius`` to a point.
+
+    Only the few nodes around each point are looked at, so time and memory follow the number of
+    points and not the size of the box around them.
+    """
+    place, reach = points / step, radius / step
+    first = np.ceil(place - reach)
+    around = first + np.arange(int(2 * reach) + 1)[:, None, None]  # node indices [offset, n, axis]
+    apart = (around - place) ** 2
+    key = around.astype(np.int64) << (AXIS_BITS * np.arange(3))
+    found = [
+        (key[i, :, 0] + key[j, :, 1] + key[k, :, 2])[
+            apart[i, :, 0] + apart[j, :, 1] + apart[k, :, 2] < reach**2
+        ]
+        for i, j, k in product(range(len(around)), repeat=3)
+    ]
+    return np.unique(np.concatenate(found))
+
+
+def density_ratio(points: Points, goal: Points, *, radius: float = 1.0, workers: int = 1) -> Points:
+    """Density of particles at each target point, over that of an even fill (algorithm 9.2).
+
+    Args:
+        points: Particle positions [dx], shape [n, 3], float64.
+        goal: Target points [dx], shape [m, 3], float64.
+        radius: Within which both are counted [dx].
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        rho_j: particles over target points within the radius, over N / M; shape [m], float64.
+    """
+    here, wanted = (
+        cKDTree(cloud).query_ball_point(goal, radius, return_length=True, workers=workers)
+        for cloud in (points, goal)
+    )
+    ratio: Points = (here / wanted) * (len(goal) / len(points))
+    return ratio

@@ -1,0 +1,1 @@
+"""One frame's optimization: update rules, schedules, line search and watchdog."""

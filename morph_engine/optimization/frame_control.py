@@ -1,0 +1,276 @@
+"""One frame: control steps, line search and watchdog (algorithm 6).
+
+A frame starts from the carried state with zero control and improves the control of its layers in
+passes. A control step takes the gradient of the loss at the last layer by the control of one layer
+(or of all), tries ever smaller steps, and keeps the first that lowers the loss and raises no fault.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+
+from morph_engine.config import MorphConfig
+from morph_engine.errors import SimulationError
+from morph_engine.losses.chamfer import ChamferLoss
+from morph_engine.losses.grid_mass import GridMassLoss
+from morph_engine.mpm import transfer
+from morph_engine.mpm.step import Simulation
+from morph_engine.optimization.events import Event
+from morph_engine.optimization.layer_optimizer import LayerControl, Norm
+from morph_engine.optimization.schedule import FrameWeights
+
+SMALLEST = 1e-12
+
+FAULTS = {
+    transfer.NON_FINITE: "non-finite value",
+    transfer.OUTSIDE: "particle out of the domain",
+    transfer.INVERTED: "det F <= 0",
+    transfer.TOO_FAST: "particle faster than the grid allows",
+}
+
+
+def fault_names(faults: int) -> tuple[str, ...]:
+    """The faults whose bits are set, in words."""
+    return tuple(name for bit, name in FAULTS.items() if faults & bit)
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Loss values of one state.
+
+    Attributes:
+        physics: L_phys.
+        chamfer: L_ch; 0 where the Chamfer term is off.
+    """
+
+    physics: float
+    chamfer: float
+
+
+@dataclass
+class FrameReport:
+    """What happened in one frame.
+
+    Attributes:
+        losses: Loss values of the final state.
+        first_losses: Loss values before the first control step.
+        accepted: Accepted control steps.
+        failed: Control steps of which every trial was rejected.
+        dt: Time step used [s].
+        events: Watchdog events.
+    """
+
+    losses: Losses = Losses(math.nan, math.nan)
+    first_losses: Losses = Losses(math.nan, math.nan)
+    accepted: int = 0
+    failed: int = 0
+    dt: float = math.nan
+    events: list[Event] = field(default_factory=list)
+
+
+class FrameControl:
+    """Optimises the control of a simulation's frame.
+
+    Args:
+        simulation: The layers of the frame; layer 0 holds the state it starts from.
+        grid_loss: Grid mass loss.
+        chamfer_loss: Chamfer loss, or None for physics alone.
+        config: The configuration.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        grid_loss: GridMassLoss,
+        chamfer_loss: ChamferLoss | None,
+        config: MorphConfig,
+    ) -> None:
+        self._simulation = simulation
+        self._grid_loss = grid_loss
+        self._chamfer_loss = chamfer_loss
+        self._config = config
+        count = len(simulation.transitions)
+        self._controls = [
+            LayerControl(simulation.particle_count, config.optimizer) for _ in range(count)
+        ]
+        size = config.optimizer.layers_per_step
+        self._groups = [
+            list(range(first, min(first + size, count))) for first in range(0, count, size)
+        ]
+        self._norm = Norm()
+        self._weights = FrameWeights(0.0, 0.0, 1.0, 1.0)
+        self._step = config.optimizer.step
+        self._counts = [0] * count
+        self._losses = Losses(math.nan, math.nan)
+        self._rejected: Counter[str] = Counter()
+
+    def run(self, frame: int, weights: FrameWeights, distance: float) -> FrameReport:
+        """Optimise one frame from the state in layer 0; the result is the last layer.
+
+        Args:
+            frame: 0-based frame index.
+            weights: The scheduled numbers of the frame.
+            distance: Two-sided distance between particles and target in layer 0 [dx].
+
+        A frame that fails even without control is restarted from its first state with half the
+        time step.
+
+        Raises:
+            SimulationError: It still fails after all restarts.
+        """
+        report = FrameReport()
+        simulation = self._simulation
+        simulation.smoothing = weights.smoothing
+        self._weights = weights
+        self._step = self._first_step(distance)
+        simulation.dt = simulation.physics.dt
+        for restart in range(self._config.watchdog.restarts + 1):
+            self._reset()
+            faults = simulation.forward()
+            if faults == 0:
+                self._losses = self._evaluate()
+                if math.isfinite(self._losses.physics + self._losses.chamfer):
+                    break
+                faults = transfer.NON_FINITE
+            cause = ", ".join(fault_names(faults))
+            if restart == self._config.watchdog.restarts:
+                raise SimulationError(
+                    f"Frame {frame} cannot go on: {cause}, even at a time step of "
+                    f"{simulation.dt:.2g} s.",
+                    "The frames before it are kept; try a smaller optimizer.step or time.dt.",
+                )
+            simulation.dt /= 2
+            report.events.append(
+                Event(
+                    frame,
+                    "restart",
+                    f"Frame {frame} restarted at dt = {simulation.dt:.3g} s: {cause}.",
+                    {"cause": cause, "dt": simulation.dt},
+                )
+            )
+        report.first_losses = self._losses
+        for pass_index in range(self._config.optimizer.passes):
+            for group in self._groups:
+                if self._control_step(group, pass_index):
+                    report.accepted += 1
+                else:
+                    report.failed += 1
+        report.losses = self._losses
+        report.dt = simulation.dt
+        for cause, count in sorted(self._rejected.items()):
+            report.events.append(
+                Event(
+                    frame,
+                    "rejected",
+                    f"{count} trial{'s' * (count > 1)} rejected in frame {frame}: {cause}.",
+                    {"cause": cause, "count": count},
+                )
+            )
+        return report
+
+    def _reset(self) -> None:
+        for control, transition in zip(self._controls, self._simulation.transitions, strict=True):
+            control.reset()
+            transition.U = control.kept
+        self._counts = [0] * len(self._controls)
+        self._rejected.clear()
+
+    def _control_step(self, group: list[int], pass_index: int) -> bool:
+        """Improve the control of the layers in a group; whether a trial was accepted."""
+        optimizer = self._config.optimizer
+        lowest = group[0]
+        before = self._losses
+        chamfer_weight = self._chamfer_weight(before)
+        norms = self._physics_norms(group) if optimizer.normalise_by == "physics" else None
+        if norms is None or chamfer_weight or self._decay(pass_index) != 1:
+            self._seed_gradient(chamfer_weight)
+            self._simulation.backward(lowest, decay=self._decay(pass_index))
+        norms = norms or self._norms(group)
+        objective = self._objective(before, chamfer_weight)
+        for trial in range(optimizer.line_search_trials):
+            factor = optimizer.line_search_factor**trial
+            for layer, norm in zip(group, norms, strict=True):
+                scale = optimizer.target_norm / max(norm, 1e-6)
+                alpha = self._step * min(max(scale, optimizer.smallest_scale), 1.0)
+                self._simulation.transitions[layer].U = self._controls[layer].try_step(
+                    self._simulation.transitions[layer].U_bar,
+                    norm,
+                    alpha * factor,
+                    self._update_count(layer) + 1,
+                )
+            faults = self._simulation.forward(lowest)
+            after = self._evaluate() if faults == 0 else Losses(math.nan, math.nan)
+            value = self._objective(after, chamfer_weight)
+            if value < objective:  # false for NaN
+                for layer in group:
+                    self._controls[layer].accept()
+                    self._counts[layer] += 1
+                self._losses = after
+                return True
+            if faults or not math.isfinite(value):
+                self._rejected.update(fault_names(faults or transfer.NON_FINITE))
+        for layer in group:
+            self._simulation.transitions[layer].U = self._controls[layer].kept
+        self._simulation.forward(lowest)
+        self._losses = self._evaluate()
+        return False
+
+    def _first_step(self, distance: float) -> float:
+        """alpha_0 of a frame: larger where there is far to go."""
+        optimizer = self._config.optimizer
+        if optimizer.far_distance == 0:
+            return optimizer.step
+        growth = distance / optimizer.far_distance
+        return optimizer.step * min(max(growth, 1.0), optimizer.far_factor)
+
+    def _update_count(self, layer: int) -> int:
+        shared = self._config.optimizer.shared_counter
+        return sum(self._counts) if shared else self._counts[layer]
+
+    def _evaluate(self) -> Losses:
+        x = self._simulation.last.x
+        chamfer = 0.0
+        if self._chamfer_loss is not None and self._weights.chamfer > 0:
+            chamfer = self._chamfer_loss.evaluate(x, self._weights.reverse)
+        return Losses(self._grid_loss.evaluate(x), chamfer)
+
+    def _chamfer_weight(self, losses: Losses) -> float:
+        """W of algorithm 5.4, frozen for one control step."""
+        weight = self._weights.chamfer
+        if self._config.chamfer.normalise and losses.chamfer > SMALLEST:
+            return weight * losses.physics / losses.chamfer
+        return weight
+
+    def _physics_weight(self) -> float:
+        literal = self._config.grid_loss.weight_mode == "literal"
+        return self._weights.physics if literal else 1.0
+
+    def _decay(self, pass_index: int) -> float:
+        chain = self._config.grid_loss.weight_mode == "chain" and pass_index > 0
+        return self._weights.physics if chain else 1.0
+
+    def _objective(self, losses: Losses, chamfer_weight: float) -> float:
+        return self._physics_weight() * losses.physics + chamfer_weight * losses.chamfer
+
+    def _seed_gradient(self, chamfer_weight: float) -> None:
+        """Put the gradient of the objective by the last layer into the adjoint state."""
+        x, bar = self._simulation.last.x, self._simulation.bar
+        bar.clear()
+        self._grid_loss.gradient(x, bar.x, self._physics_weight())
+        if chamfer_weight and self._chamfer_loss is not None:
+            self._chamfer_loss.add_gradient(x, bar.x, chamfer_weight, self._weights.reverse)
+
+    def _physics_norms(self, group: list[int]) -> list[float]:
+        """Norms of the physics gradient alone; leaves that gradient in the adjoint state."""
+        self._seed_gradient(0.0)
+        self._simulation.backward(group[0])
+        return self._norms(group)
+
+    def _norms(self, group: list[int]) -> list[float]:
+        transitions = self._simulation.transitions
+        return [max(self._norm(transitions[layer].U_bar), SMALLEST) for layer in group]
+
+
+__all__ = ["FrameControl", "FrameReport", "Losses", "fault_names"]

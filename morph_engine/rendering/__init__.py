@@ -1,0 +1,1 @@
+"""Pictures and videos of particles and surfaces, without a display."""

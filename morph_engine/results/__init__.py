@@ -1,0 +1,1 @@
+"""What a run leaves: the run directory, the result file, and what is read from them."""

@@ -1,0 +1,235 @@
+"""Fields: one number per particle and frame, to colour particles by."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from morph_engine.errors import ConfigError, ResultError
+from morph_engine.metrics.point_metrics import (
+    Points,
+    distance_to_other,
+    finite_points,
+    target_points,
+)
+
+__all__ = ["FIELDS", "FieldDefinition", "field", "find"]
+
+Values = npt.NDArray[np.float32]
+
+DENSITY_RADIUS = 1.0
+"""Radius of the ball in which the density of a particle is counted [dx]."""
+
+
+@dataclass(frozen=True)
+class FieldDefinition:
+    """What one field means.
+
+    Attributes:
+        label: Its name for people.
+        unit: ``dx`` (grid units), ``h`` (sample spacings), ``ratio`` or ``count``.
+        meaning: What a value tells, in a few words.
+        diverging: Whether 1 is the neutral value, with a meaning on either side.
+    """
+
+    label: str
+    unit: str
+    meaning: str
+    diverging: bool = False
+
+
+FIELDS: dict[str, FieldDefinition] = {
+    "displacement": FieldDefinition(
+        "Displacement", "dx", "how far the particle is from where it started"
+    ),
+    "speed": FieldDefinition("Speed", "dx", "how far it has moved since the frame before"),
+    "target_distance": FieldDefinition(
+        "Distance to target", "dx", "how far it is from the nearest target point"
+    ),
+    "density": FieldDefinition(
+        "Density",
+        "ratio",
+        "particles around it over those of an even fill; above 1 is a clump, below 1 is thin",
+        diverging=True,
+    ),
+    "target_hits": FieldDefinition(
+        "Target hits", "count", "particles that share its nearest target point, itself included"
+    ),
+    "det_f": FieldDefinition(
+        "Volume change",
+        "ratio",
+        "det F: the volume over that at rest, as far as the grid moved the particle",
+        diverging=True,
+    ),
+    "overlap": FieldDefinition(
+        "Distance to neighbour", "h", "distance to the nearest other particle; 0 is a coincidence"
+    ),
+}
+
+
+def find(name: str) -> FieldDefinition:
+    """A field by its name.
+
+    Raises:
+        ConfigError: There is no such field.
+    """
+    if name not in FIELDS:
+        near = difflib.get_close_matches(name, FIELDS, 1, 0.0)[0]
+        raise ConfigError(
+            f"There is no field called {name!r}.",
+            f"Did you mean {near!r}? Fields are {', '.join(FIELDS)}.",
+        )
+    return FIELDS[name]
+
+
+def field(
+    name: str,
+    *,
+    positions: npt.ArrayLike,
+    previous: npt.ArrayLike | None,
+    source: npt.ArrayLike,
+    target: npt.ArrayLike,
+    det_f: npt.ArrayLike | None = None,
+    spacing: float | None = None,
+    workers: int = 1,
+) -> Values:
+    """Compute a field of one frame.
+
+    Args:
+        name: One of `FIELDS`.
+        positions: Particle positions [dx], shape [n, 3].
+        previous: Positions in the frame before [dx], shape [n, 3]; None for the first frame,
+            which comes after the source.
+        source: Positions before the first frame [dx], shape [n, 3].
+        target: Target points [dx], shape [m, 3].
+        det_f: det F of the particles [ratio], shape [n], where the method has it.
+        spacing: Lattice spacing h of the target [dx]; None takes the usual distance of
+            neighbouring target points.
+        workers: Threads for the searches; -1 takes every core.
+
+    Returns:
+        A value per particle, shape [n], float32, in the unit of its definition; NaN for a particle
+        with a coordinate that is not finite.
+
+    Raises:
+        ConfigError: There is no such field.
+        ResultError: The field is det_f and the frame has none.
+        MeshError: An array has the wrong shape, or the target is empty or not finite.
+    """
+    find(name)
+    if name == "det_f":
+        return _stored(det_f)
+    points, finite = finite_points(positions)
+    frame = _Frame(
+        points=points,
+        finite=finite,
+        previous=np.asarray(source if previous is None else previous, np.float64),
+        source=np.asarray(source, np.float64),
+        target=target_points(target),
+        known_spacing=spacing,
+        workers=workers,
+    )
+    values = np.full(len(finite), np.nan, np.float32)
+    if len(points):
+        values[finite] = _COMPUTED[name](frame)
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame's finite particles and what they are compared with."""
+
+    points: Points
+    finite: npt.NDArray[np.bool_]
+    previous: Points
+    source: Points
+    target: Points
+    known_spacing: float | None
+    workers: int
+
+    @cached_property
+    def target_tree(self) -> cKDTree:
+        return cKDTree(self.target)
+
+    @property
+    def spacing(self) -> float:
+        """Lattice spacing of the target [dx]."""
+        if self.known_spacing is not None:
+            return self.known_spacing
+        gaps, _ = self.target_tree.query(self.target, k=[2], workers=self.workers)
+        return float(np.median(gaps))
+
+
+def _stored(det_f: npt.ArrayLike | None) -> Values:
+    if det_f is None:
+        raise ResultError(
+            "This frame holds no det F.",
+            "Choose another field; det F is stored by transport, joint and physics.",
+        )
+    return np.asarray(det_f, np.float32)
+
+
+def _displacement(frame: _Frame) -> Points:
+    return _lengths(frame.points - frame.source[frame.finite])
+
+
+def _speed(frame: _Frame) -> Points:
+    return _lengths(frame.points - frame.previous[frame.finite])
+
+
+def _lengths(vectors: Points) -> Points:
+    lengths: Points = np.sqrt(np.einsum("pi,pi->p", vectors, vectors))
+    return lengths
+
+
+def _target_distance(frame: _Frame) -> Points:
+    distance: Points = frame.target_tree.query(frame.points, workers=frame.workers)[0]
+    return distance
+
+
+def _density(frame: _Frame) -> Points:
+    """Particles over target points within a ball, over N / M, as rho of the metrics.
+
+    Where the target is absent there is nothing to compare with, and half of a full ball is
+    expected, which is what a particle at a free surface sees; one at a corner then counts as thin.
+    """
+    count, tree = frame.workers, cKDTree(frame.points)
+    here, wanted = (
+        cloud.query_ball_point(frame.points, DENSITY_RADIUS, return_length=True, workers=count)
+        for cloud in (tree, frame.target_tree)
+    )
+    full = 4 / 3 * np.pi * DENSITY_RADIUS**3 / frame.spacing**3
+    even = np.maximum(wanted, full / 2) * (len(frame.points) / len(frame.target))
+    ratio: Points = here / even
+    return ratio
+
+
+def _target_hits(frame: _Frame) -> npt.NDArray[np.intp]:
+    _, nearest = frame.target_tree.query(frame.points, workers=frame.workers)
+    hits: npt.NDArray[np.intp] = np.bincount(nearest)[nearest]
+    return hits
+
+
+def _overlap(frame: _Frame) -> Points:
+    distinct, which, copies = np.unique(
+        frame.points, axis=0, return_inverse=True, return_counts=True
+    )
+    gap = distance_to_other(distinct, copies, cKDTree(distinct), workers=frame.workers)
+    overlap: Points = gap[which.reshape(-1)] / frame.spacing
+    return overlap
+
+
+_COMPUTED: dict[str, Callable[[_Frame], npt.NDArray[np.floating | np.integer]]] = {
+    "displacement": _displacement,
+    "speed": _speed,
+    "target_distance": _target_distance,
+    "density": _density,
+    "target_hits": _target_hits,
+    "overlap": _overlap,
+}

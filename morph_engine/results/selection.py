@@ -1,0 +1,129 @@
+"""What is exported: frames of a trajectory, in which coordinates, with which fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from morph_engine.config import MorphConfig
+from morph_engine.results.fields import field
+from morph_engine.results.trajectory import Trajectory
+from morph_engine.surface import surface
+
+Units = Literal["user", "grid"]
+Positions = npt.NDArray[np.float64]
+Values = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One frame as it is exported.
+
+    Attributes:
+        frame: Its index.
+        vertices: Particles, or corners of the surface [units of the selection], shape [v, 3].
+        faces: Vertex indices of the surface, shape [f, 3], int32; None for particles.
+        fields: A value per vertex by field name, shape [v], float32.
+    """
+
+    frame: int
+    vertices: Positions
+    faces: npt.NDArray[np.int32] | None
+    fields: dict[str, Values]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Frames of a trajectory, and how they are wanted.
+
+    Attributes:
+        trajectory: The result.
+        frames: Indices of the frames, each from 0.
+        surface: Whether a surface takes the place of the particles.
+        units: Coordinates: ``user`` or ``grid``.
+        fields: Names of the fields to carry along.
+        watch: Called with the number of frames written and to be written.
+    """
+
+    trajectory: Trajectory
+    frames: tuple[int, ...]
+    surface: bool = False
+    units: Units = "user"
+    fields: tuple[str, ...] = ()
+    watch: Callable[[int, int], None] = lambda done, total: None
+
+    def only(self, frame: int) -> Selection:
+        """The same of one frame, unwatched."""
+        return replace(self, frames=(frame,), watch=lambda done, total: None)
+
+    def snapshots(self) -> Iterator[Snapshot]:
+        """The frames one after the other, watched.
+
+        Raises:
+            ResultError: A frame is damaged, or lacks a field.
+            MeshError: The particles of a frame enclose nothing.
+        """
+        for done, frame in enumerate(self.frames):
+            self.watch(done, len(self.frames))
+            yield self._snapshot(frame)
+        self.watch(len(self.frames), len(self.frames))
+
+    @cached_property
+    def spacing(self) -> float:
+        """Lattice spacing h of the particles [units of the selection]."""
+        return self._spacing * self._scale
+
+    @property
+    def transform(self) -> Positions:
+        """Grid units to the units of the selection, shape [4, 4]; acts on columns."""
+        return self.trajectory.transform if self.units == "user" else np.eye(4)
+
+    def placed(self, positions: npt.ArrayLike) -> Positions:
+        """Positions [dx], shape [n, 3], in the units of the selection, float64."""
+        matrix = self.transform
+        placed: Positions = np.asarray(positions, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        return placed
+
+    def field(self, name: str, frame: int) -> Values:
+        """A field of a frame, a value per particle, shape [n], float32.
+
+        Raises:
+            ResultError: The frame is damaged, or lacks the field.
+        """
+        trajectory = self.trajectory
+        return field(
+            name,
+            positions=trajectory.positions(frame),
+            previous=trajectory.positions(frame - 1) if frame and name == "speed" else None,
+            source=trajectory.run.source_points,
+            target=trajectory.target_points,
+            det_f=trajectory.det_f(frame) if name == "det_f" else None,
+            spacing=self._spacing,
+            workers=-1,
+        )
+
+    def _snapshot(self, frame: int) -> Snapshot:
+        positions = self.trajectory.positions(frame)
+        fields = {name: self.field(name, frame) for name in self.fields}
+        if not self.surface:
+            return Snapshot(frame, self.placed(positions), None, fields)
+        found = surface(positions, self._spacing)
+        if fields:
+            finite = np.isfinite(positions).all(axis=1)
+            _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
+            fields = {name: values[finite][nearest] for name, values in fields.items()}
+        return Snapshot(frame, self.placed(found.vertices), found.faces, fields)
+
+    @cached_property
+    def _spacing(self) -> float:
+        return MorphConfig.model_validate(self.trajectory.config).spacing
+
+    @cached_property
+    def _scale(self) -> float:
+        return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))

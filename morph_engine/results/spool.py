@@ -1,0 +1,473 @@
+"""The run directory `<result>.spool`: what a run has finished, safe at any instant.
+
+run.json and run.npz   the run record, written first
+frame-000000.npz       one frame: positions, det F where the method has it, metrics, events
+checkpoint.npz         the state after one frame, from which the run continues bit for bit
+lock                   held by the one process that writes
+
+Each file appears or changes as a whole, so a kill at any instant leaves whole frames and a whole
+checkpoint. The checkpoint decides where a run continues: frames beyond it are computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine.errors import ResultError
+from morph_engine.files import acquire, replacing
+from morph_engine.results.run_record import Json, RunRecord
+
+_RUN = "run.json"
+_ARRAYS = "run.npz"
+_CHECKPOINT = "checkpoint.npz"
+_JSON = "__json__"
+
+
+def spool_path(result_path: str | Path) -> Path:
+    """The run directory that belongs to a result file."""
+    return Path(f"{result_path}.spool")
+
+
+def finished_frames(result_path: str | Path) -> int:
+    """Number of frames that a run has finished by now; 0 where there is no run."""
+    try:
+        names = [entry.name for entry in spool_path(result_path).iterdir()]
+    except FileNotFoundError:
+        return 0
+    return sum(name.startswith("frame-") and name.endswith(".npz") for name in names)
+
+
+def read_positions(result_path: str | Path, frame: int) -> NDArray[np.float32]:
+    """Positions of one finished frame of a run that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+        frame: Index of the frame, from 0.
+
+    Returns:
+        Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+    Raises:
+        ResultError: The frame is missing or damaged.
+    """
+    path = _frame_path(spool_path(result_path), frame)
+    with _stored(path) as arrays:
+        positions: NDArray[np.float32] = arrays["positions"]
+        return positions
+
+
+def read_det_f(result_path: str | Path, frame: int) -> NDArray[np.float32] | None:
+    """det F of one finished frame of a run that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+        frame: Index of the frame, from 0.
+
+    Returns:
+        det F of each particle [ratio], shape [n], float32; None where the method has none.
+
+    Raises:
+        ResultError: The frame is missing or damaged.
+    """
+    with _stored(_frame_path(spool_path(result_path), frame)) as arrays:
+        return arrays.get("det_f")
+
+
+def read_run(result_path: str | Path) -> RunRecord:
+    """What a run is made of that another process may be writing.
+
+    Args:
+        result_path: The result file it belongs to.
+
+    Raises:
+        ResultError: There is no such run, or it is damaged.
+    """
+    return _read_run(spool_path(result_path))[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The state of a run after one frame.
+
+    Attributes:
+        frame: Index of the last frame it includes.
+        arrays: Array state by name; what they hold is the engine's own affair.
+        scalars: Other state, JSON only; floats and integers come back exactly.
+    """
+
+    frame: int
+    arrays: dict[str, NDArray[Any]]
+    scalars: Json
+
+
+class Spool:
+    """A run directory, made by `create` or `open` and closed by `close` or `with`.
+
+    Attributes:
+        path: The directory.
+        result_path: The result file it belongs to.
+        run: What the run is made of.
+    """
+
+    def __init__(self, result_path: Path, run: RunRecord, lock: BinaryIO | None) -> None:
+        self.path = spool_path(result_path)
+        self.result_path = result_path
+        self.run = run
+        self._lock = lock
+        self._notes = self._read_notes()  # metrics and events of each frame
+
+    @classmethod
+    def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
+        """Start a run directory beside the result file to come.
+
+        Args:
+            result_path: The result file.
+            run: What the run is made of.
+            replace: Discard an unfinished run found there.
+
+        Returns:
+            The empty spool, locked for this process.
+
+        Raises:
+            ResultError: Another process writes it, an unfinished run stands there, or the disk
+                refuses.
+        """
+        path = spool_path(result_path)
+        with _writing(path):
+            path.mkdir(parents=True, exist_ok=True)
+            lock = _lock(path)
+            try:
+                if (path / _RUN).exists() and not replace:
+                    raise ResultError(
+                        f"{path} holds an unfinished run.",
+                        "Continue it with --resume, or delete that directory to start afresh.",
+                    )
+                _clear(path)
+                with replacing(path / _ARRAYS) as file:
+                    _save_arrays(file, run.arrays())
+                with replacing(path / _RUN) as file:
+                    file.write_text(json.dumps(run.document(), indent=1), encoding="utf-8")
+            except BaseException:
+                lock.close()
+                raise
+        return cls(Path(result_path), run, lock)
+
+    @classmethod
+    def open(
+        cls, result_path: str | Path, run: RunRecord | None = None, *, writable: bool = True
+    ) -> Spool:
+        """Open the run directory that an earlier process left, or that another one writes.
+
+        Args:
+            result_path: The result file it belongs to.
+            run: What the run must be made of; None accepts any.
+            writable: Lock it to go on with the run; False only reads what is finished by now.
+
+        Returns:
+            The spool with all its finished frames.
+
+        Raises:
+            ResultError: There is none, another process writes it, it is damaged, or it is of
+                another run (the message names the first difference).
+        """
+        path = spool_path(result_path)
+        if not (path / _RUN).is_file():
+            raise ResultError(
+                f"There is no unfinished run at {path}.", "Start the run without --resume."
+            )
+        with _writing(path):
+            lock = _lock(path) if writable else None
+        try:
+            document, stored = _read_run(path)
+            if run is not None:
+                _check_same(path, document, run.document())
+            return cls(Path(result_path), stored, lock)
+        except BaseException:
+            if lock is not None:
+                lock.close()
+            raise
+
+    @property
+    def frame_count(self) -> int:
+        """Number of finished frames; their indices run from 0."""
+        return len(self._notes)
+
+    @property
+    def events(self) -> list[Json]:
+        """Events of all finished frames, in order."""
+        return [event for notes in self._notes for event in notes["events"]]
+
+    def metrics(self, frame: int) -> dict[str, float]:
+        """Metrics of a finished frame by name; units as the metrics module defines them."""
+        return dict(self._notes[frame]["metrics"])
+
+    def positions(self, frame: int) -> NDArray[np.float32]:
+        """Positions of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+        Raises:
+            ResultError: The file is missing or damaged.
+        """
+        path = self._frame_path(frame)
+        arrays = _load_arrays(path)
+        with _reading(path):
+            positions: NDArray[np.float32] = arrays["positions"]
+            if positions.shape != (self.run.particle_count, 3):
+                raise ValueError(f"holds an array of shape {positions.shape}")
+            return positions
+
+    def det_f(self, frame: int) -> NDArray[np.float32] | None:
+        """det F of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            det F of each particle [ratio], shape [n], float32; None where the method has none.
+
+        Raises:
+            ResultError: The file is missing or damaged.
+        """
+        return read_det_f(self.result_path, frame)
+
+    def append(
+        self,
+        frame: int,
+        positions: NDArray[np.float32],
+        metrics: Mapping[str, float],
+        events: Sequence[Mapping[str, Any]] = (),
+        det_f: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Add the next frame; when this returns, no crash can take it away.
+
+        Args:
+            frame: Its index, which is `frame_count`.
+            positions: Particle positions [dx], shape [n, 3], float32, original particle order.
+            metrics: Metrics by name; a frame may lack some.
+            events: JSON objects with frame, kind, message and data.
+            det_f: det F of each particle [ratio], shape [n], float32, where the method has it.
+
+        Raises:
+            ResultError: The disk refuses.
+            ValueError: The frame is not the next one, or an array has another shape.
+        """
+        if frame != self.frame_count:
+            raise ValueError(f"frame {frame} after {self.frame_count} frames")
+        if positions.shape != (self.run.particle_count, 3):
+            raise ValueError(f"positions of shape {positions.shape}")
+        if det_f is not None and det_f.shape != (self.run.particle_count,):
+            raise ValueError(f"det F of shape {det_f.shape}")
+        notes: Json = {
+            "metrics": {name: float(value) for name, value in metrics.items()},
+            "events": list(events),
+        }
+        encoded = _encode(notes)
+        arrays: dict[str, NDArray[Any]] = {
+            _JSON: encoded,
+            "positions": positions.astype(np.float32),
+        }
+        if det_f is not None:
+            arrays["det_f"] = det_f.astype(np.float32)
+        with _writing(self.path), replacing(self._frame_path(frame)) as path:
+            _save_arrays(path, arrays)
+        self._notes.append(_decode(encoded))
+
+    def save_checkpoint(
+        self, frame: int, arrays: Mapping[str, NDArray[Any]], scalars: Mapping[str, Any]
+    ) -> None:
+        """Replace the checkpoint by the state after a finished frame.
+
+        Args:
+            frame: Index of the last frame the state includes.
+            arrays: All array state, any dtype but object.
+            scalars: All other state, JSON only.
+
+        Raises:
+            ResultError: The disk refuses; the previous checkpoint stands.
+            ValueError: The frame is not finished, or an array holds objects.
+        """
+        if not 0 <= frame < self.frame_count:
+            raise ValueError(f"checkpoint after frame {frame} of {self.frame_count}")
+        encoded = _encode({"frame": frame, "scalars": dict(scalars)})
+        with _writing(self.path), replacing(self.path / _CHECKPOINT) as path:
+            _save_arrays(path, {_JSON: encoded, **arrays})
+
+    def load_checkpoint(self) -> Checkpoint | None:
+        """The last checkpoint, or None where the run was killed before the first.
+
+        Raises:
+            ResultError: It is damaged.
+        """
+        path = self.path / _CHECKPOINT
+        if not path.exists():
+            return None
+        arrays = _load_arrays(path)
+        with _reading(path):
+            state = _decode(arrays.pop(_JSON))
+            return Checkpoint(state["frame"], arrays, state["scalars"])
+
+    def truncate_after(self, frame: int) -> None:
+        """Forget all frames beyond one, before the run goes on from its checkpoint.
+
+        Args:
+            frame: Index of the last frame to keep; -1 forgets all.
+
+        Raises:
+            ResultError: That frame is not there, or the disk refuses.
+        """
+        if frame >= self.frame_count:
+            raise _damaged(self.path, f"has a checkpoint after frame {frame} but not that frame")
+        with _writing(self.path):
+            while self.frame_count > frame + 1:
+                self._frame_path(self.frame_count - 1).unlink()
+                self._notes.pop()
+
+    def remove(self) -> None:
+        """Delete the run directory, once the result file is written.
+
+        Raises:
+            ResultError: The disk refuses.
+        """
+        with _writing(self.path):
+            _clear(self.path)
+            self.close()
+            shutil.rmtree(self.path)
+
+    def close(self) -> None:
+        """Free the lock; the directory stays."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def __enter__(self) -> Spool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _read_notes(self) -> list[Json]:
+        notes: list[Json] = []
+        while (path := self._frame_path(len(notes))).exists():
+            with _stored(path) as arrays:
+                notes.append(_decode(arrays[_JSON]))
+        return notes
+
+    def _frame_path(self, frame: int) -> Path:
+        return _frame_path(self.path, frame)
+
+
+def _frame_path(spool: Path, frame: int) -> Path:
+    return spool / f"frame-{frame:06d}.npz"
+
+
+def _read_run(path: Path) -> tuple[Json, RunRecord]:
+    """The record in a run directory, as it is stored and as it is used."""
+    with _reading(path / _RUN):
+        document: Json = json.loads((path / _RUN).read_text(encoding="utf-8"))
+        return document, RunRecord.restore(document, _load_arrays(path / _ARRAYS))
+
+
+def _lock(path: Path) -> BinaryIO:
+    lock = acquire(path / "lock")
+    if lock is None:
+        raise ResultError(
+            f"Another process is writing the run at {path}.",
+            "Wait for it to end, or choose another result file with --out.",
+        )
+    return lock
+
+
+def _clear(path: Path) -> None:
+    (path / _RUN).unlink(missing_ok=True)  # first: without it, what is left is no run
+    for file in path.iterdir():
+        if file.name != "lock":
+            file.unlink()
+
+
+def _check_same(path: Path, stored: Json, wanted: Json) -> None:
+    for key in sorted(stored.keys() | wanted.keys()):
+        if stored.get(key) != wanted.get(key):
+            raise ResultError(
+                f"The unfinished run at {path} has another {_difference(key, stored, wanted)}.",
+                "Resume it with the same inputs, options and software, or delete that directory.",
+            )
+
+
+def _difference(key: str, stored: Any, wanted: Any) -> str:
+    """Dotted path of the first value that differs below a key, with both values if short."""
+    old, new = stored.get(key), wanted.get(key)
+    if isinstance(old, dict) and isinstance(new, dict):
+        inner = next(name for name in sorted(old | new) if old.get(name) != new.get(name))
+        return f"{key}.{_difference(inner, old, new)}"
+    return f"{key} ({old!r}, now {new!r})" if len(f"{old!r}{new!r}") < 160 else key
+
+
+def _save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with _stored(path) as arrays:
+        return dict(arrays)
+
+
+@contextmanager
+def _stored(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a file, each read when asked for."""
+    with _reading(path), path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        yield arrays
+
+
+def _encode(value: Json) -> NDArray[np.uint8]:
+    return np.frombuffer(json.dumps(value, default=_plain).encode(), np.uint8)
+
+
+def _decode(text: NDArray[np.uint8]) -> Json:
+    value: Json = json.loads(text.tobytes())
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """NumPy values as JSON."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _damaged(path: Path, how: str) -> ResultError:
+    return ResultError(f"{path} {how}.", "Delete the run directory and start the run afresh.")
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise _damaged(path, f"cannot be read ({error})") from error
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write to {path} ({error.strerror or error}).",
+            "Free some disk space or choose another place with --out, then resume.",
+        ) from error

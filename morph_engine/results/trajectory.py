@@ -1,0 +1,386 @@
+"""The result file: a VTKHDF moving point cloud that ParaView opens and that repeats its own run.
+
+`/VTKHDF` is temporal PolyData as VTK >= 9.3 reads it: one step per frame, one vertex per particle,
+det F as point data where the method has it, the metrics as field data. `/morph` holds the run
+record, the events and the status. Every array is stored with a checksum in chunks, a frame per
+chunk: a flipped bit costs one frame and is noticed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from morph_engine.errors import ResultError
+from morph_engine.files import replacing
+from morph_engine.results.run_record import Geometry, Json, RunRecord
+from morph_engine.results.spool import Spool
+
+Status = Literal["complete", "partial"]
+
+_FORMAT = 1
+_CELLS = ("Vertices", "Lines", "Polygons", "Strips")
+
+
+def write_result(spool: Spool, path: str | Path | None = None, *, status: Status) -> Path:
+    """Assemble the result file of all finished frames; the spool stays as it is.
+
+    The file is assembled in memory, which takes 16 bytes per particle and frame.
+
+    Args:
+        spool: The run directory.
+        path: The file to write or to replace; None means the spool's own result file.
+        status: "complete", or "partial" for a run that was stopped.
+
+    Returns:
+        The path of the file, which is on the disk as a whole.
+
+    Raises:
+        ResultError: A frame of the spool is damaged, or the disk refuses.
+    """
+    path = spool.result_path if path is None else Path(path)
+    image = io.BytesIO()  # HDF5 may crash the process where a disk is full, a Python file never
+    # older formats have no checksums in their structure, and VTK 9.7 cannot read the latest
+    with h5py.File(image, "w", libver=("v110", "v110")) as file:
+        _write_vtk(file.create_group("VTKHDF"), spool)
+        _write_morph(file.create_group("morph"), spool, status)
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(image.getbuffer())
+    except OSError as error:
+        raise ResultError(
+            f"Cannot write {path} ({error.strerror or error}).",
+            f"Free some disk space and resume; the frames are safe in {spool.path}.",
+        ) from error
+    return path
+
+
+def _write_vtk(root: h5py.Group, spool: Spool) -> None:
+    """Temporal PolyData of one part, whose topology is stored once and shared by all steps."""
+    frame_count, particle_count = spool.frame_count, spool.run.particle_count
+    root.attrs["Version"] = np.array([2, 3])
+    root.attrs.create("Type", np.bytes_("PolyData"))  # VTK wants ASCII of fixed length
+
+    points = root.create_dataset(
+        "Points",
+        shape=(frame_count * particle_count, 3),
+        maxshape=(None, 3),
+        dtype=np.float32,
+        chunks=(particle_count, 3),
+        fletcher32=True,
+    )
+    for frame in range(frame_count):
+        points[frame * particle_count : (frame + 1) * particle_count] = spool.positions(frame)
+
+    with_det_f = frame_count > 0 and all(
+        spool.det_f(frame) is not None for frame in range(frame_count)
+    )
+    if with_det_f:
+        det_f = root.create_group("PointData").create_dataset(
+            "det_f",
+            (frame_count * particle_count,),
+            "<f4",
+            chunks=(particle_count,),
+            fletcher32=True,
+        )
+        for frame in range(frame_count):
+            det_f[frame * particle_count : (frame + 1) * particle_count] = spool.det_f(frame)
+
+    shown = particle_count if frame_count else 0  # a run stopped in its first frame shows nothing
+    _store(root, "NumberOfPoints", np.array([shown]))
+    for kind in _CELLS:
+        cell_count = shown if kind == "Vertices" else 0
+        cells = root.create_group(kind)
+        _store(cells, "NumberOfCells", np.array([cell_count]))
+        _store(cells, "NumberOfConnectivityIds", np.array([cell_count]))
+        _store(cells, "Connectivity", np.arange(cell_count))
+        _store(cells, "Offsets", np.arange(cell_count + 1))
+
+    frames = np.arange(frame_count)
+    same = np.zeros(frame_count, np.int64)
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = frame_count
+    _store(steps, "Values", frames.astype(np.float64))
+    _store(steps, "PartOffsets", same)
+    _store(steps, "NumberOfParts", same + 1)
+    _store(steps, "PointOffsets", frames * particle_count)
+    if with_det_f:
+        _store(steps.create_group("PointDataOffsets"), "det_f", frames * particle_count)
+    _store(steps, "CellOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
+    _store(steps, "ConnectivityIdOffsets", np.zeros((frame_count, len(_CELLS)), np.int64))
+
+    fields = root.create_group("FieldData")
+    offsets = steps.create_group("FieldDataOffsets")
+    sizes = steps.create_group("FieldDataSizes")
+    table = [spool.metrics(frame) for frame in range(frame_count)]
+    for name in dict.fromkeys(name for row in table for name in row):
+        _store(fields, name, np.array([row.get(name, np.nan) for row in table], np.float64))
+        _store(offsets, name, frames)
+        _store(sizes, name, np.ones((frame_count, 2), np.int64))  # components, tuples
+
+
+def _write_morph(root: h5py.Group, spool: Spool, status: Status) -> None:
+    root.attrs["format"] = _FORMAT
+    _store_json(root, "status", status)
+    _store_json(root, "events", spool.events)
+    run = root.create_group("run")
+    for key, value in spool.run.document().items():
+        _store_json(run, key, value)
+    arrays = root.create_group("arrays")
+    for name, array in spool.run.arrays().items():
+        _store(arrays, name, array)
+
+
+def _store(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
+    """Store an array as one chunk with a checksum."""
+    checked = {"chunks": array.shape, "fletcher32": True} if array.size else {}
+    group.create_dataset(name, data=array, **checked)
+
+
+def _store_json(group: h5py.Group, name: str, value: Any) -> None:
+    """Store JSON as one string of fixed length: those of variable length have no checksum."""
+    text = json.dumps(value).encode()
+    _store(group, name, np.array([text], h5py.string_dtype(length=len(text))))
+
+
+class Trajectory:
+    """A result file, open for reading; close it with `close` or `with`.
+
+    Arrays are read when asked for. Iterating yields the positions of each frame in order.
+
+    Args:
+        path: The result file.
+
+    Attributes:
+        path: The result file.
+        status: "complete", or "partial" for a run that was stopped.
+        frame_count: Number of frames T.
+        particle_count: Number of particles n.
+
+    Raises:
+        ResultError: The file is missing, truncated or not a result file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise ResultError(f"There is no result file {path}.", "Check the path.")
+        with _reading(self.path):
+            # some network disks have no locks; the file is never changed in place
+            self._file = h5py.File(self.path, "r", locking="best-effort")
+        try:
+            with _reading(self.path):
+                self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        morph, vtk = self._file["morph"], self._file["VTKHDF"]
+        if morph.attrs["format"] > _FORMAT:
+            raise ResultError(
+                f"{self.path} was written by a newer version.", "Update chamfer-morph to read it."
+            )
+        self.status: Status = _json(morph["status"])
+        self.frame_count = int(vtk["Steps"].attrs["NSteps"])
+        self._points = vtk["Points"]
+        self.particle_count: int = self._points.chunks[0]
+        if self._points.shape != (self.frame_count * self.particle_count, 3):
+            raise ValueError(f"it holds {len(self._points)} points")
+
+    @classmethod
+    def open(cls, path: str | Path) -> Trajectory:
+        """Open a result file; the same as `Trajectory(path)`."""
+        return cls(path)
+
+    def positions(self, frame: int) -> NDArray[np.float32]:
+        """Positions of one frame.
+
+        Args:
+            frame: Index of the frame from 0; negative counts from the end.
+
+        Returns:
+            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+        Raises:
+            ResultError: There is no such frame, or its checksum fails; others may still be read.
+        """
+        index = self.index(frame)
+        start = index * self.particle_count
+        with _reading(self.path, f"frame {index} of "):
+            positions: NDArray[np.float32] = self._points[start : start + self.particle_count]
+            return positions
+
+    def positions_in_user_units(self, frame: int) -> NDArray[np.float64]:
+        """Positions of one frame in the coordinates of the user's own files.
+
+        Args:
+            frame: Index of the frame from 0; negative counts from the end.
+
+        Returns:
+            Particle positions [user's unit], shape [n, 3], float64.
+
+        Raises:
+            ResultError: As `positions`.
+        """
+        matrix = self.transform
+        return self.positions(frame) @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def det_f(self, frame: int) -> NDArray[np.float32] | None:
+        """det F of one frame.
+
+        Args:
+            frame: Index of the frame from 0; negative counts from the end.
+
+        Returns:
+            det F of each particle [ratio], shape [n], float32; None where the file has none: its
+            method moves points without deforming matter, or an older version wrote it.
+
+        Raises:
+            ResultError: As `positions`.
+        """
+        index = self.index(frame)
+        start = index * self.particle_count
+        with _reading(self.path, f"det F of frame {index} of "):
+            stored = self._file.get("VTKHDF/PointData/det_f")
+            if stored is None:
+                return None
+            det_f: NDArray[np.float32] = stored[start : start + self.particle_count]
+            return det_f
+
+    @cached_property
+    def times(self) -> NDArray[np.float64]:
+        """Time of each frame as VTK shows it: its index, shape [T], float64."""
+        with _reading(self.path):
+            times: NDArray[np.float64] = self._file["VTKHDF/Steps/Values"][:]
+            return times
+
+    @cached_property
+    def metrics(self) -> dict[str, NDArray[np.float64]]:
+        """Metrics over frames by name, shape [T], float64; NaN where a frame lacks one.
+
+        Raises:
+            ResultError: A checksum fails.
+        """
+        with _reading(self.path):
+            return {name: field[:] for name, field in self._file["VTKHDF/FieldData"].items()}
+
+    def metrics_at(self, frame: int) -> dict[str, float]:
+        """Metrics of one frame by name, without those it lacks.
+
+        Args:
+            frame: Index of the frame from 0; negative counts from the end.
+
+        Raises:
+            ResultError: There is no such frame, or a checksum fails.
+        """
+        index = self.index(frame)
+        row = {name: float(values[index]) for name, values in self.metrics.items()}
+        return {name: value for name, value in row.items() if not np.isnan(value)}
+
+    @cached_property
+    def events(self) -> list[Json]:
+        """Events of all frames in order, each with frame, kind, message and data.
+
+        Raises:
+            ResultError: The checksum fails.
+        """
+        with _reading(self.path):
+            events: list[Json] = _json(self._file["morph/events"])
+            return events
+
+    @cached_property
+    def run(self) -> RunRecord:
+        """What the run was made of, enough to repeat it.
+
+        Raises:
+            ResultError: A checksum fails.
+        """
+        with _reading(self.path):
+            morph = self._file["morph"]
+            document = {name: _json(value) for name, value in morph["run"].items()}
+            arrays = {name: array[:] for name, array in morph["arrays"].items()}
+            return RunRecord.restore(document, arrays)
+
+    @property
+    def config(self) -> Json:
+        """Resolved configuration of the run."""
+        return self.run.config
+
+    @property
+    def source(self) -> Geometry:
+        """Source shape in the user's own coordinates: a mesh, or points of shape [n, 3]."""
+        return self.run.source
+
+    @property
+    def target(self) -> Geometry:
+        """Target shape in the user's own coordinates: a mesh, or points of shape [n, 3]."""
+        return self.run.target
+
+    @property
+    def target_points(self) -> NDArray[np.float32]:
+        """Target points [dx], shape [m, 3], float32."""
+        return self.run.target_points
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """Grid units to the user's coordinates, shape [4, 4], float64; acts on columns."""
+        return self.run.transform
+
+    @property
+    def software(self) -> dict[str, str]:
+        """Versions of the software that made the numbers."""
+        return self.run.software
+
+    def close(self) -> None:
+        """Close the file; arrays already read stay."""
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self.frame_count
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        return (self.positions(frame) for frame in range(self.frame_count))
+
+    def __enter__(self) -> Trajectory:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def index(self, frame: int) -> int:
+        """Index from 0 of a frame, negative ones counted from the end.
+
+        Raises:
+            ResultError: There is no such frame.
+        """
+        if not -self.frame_count <= frame < self.frame_count:
+            raise ResultError(
+                f"{self.path} has no frame {frame}.",
+                f"Its {self.frame_count} frames count from 0.",
+            )
+        return frame % self.frame_count
+
+
+def _json(dataset: h5py.Dataset) -> Any:
+    return json.loads(dataset[0])
+
+
+@contextmanager
+def _reading(path: Path, part: str = "") -> Iterator[None]:
+    try:
+        yield
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ResultError(
+            f"Cannot read {part}{path}, which is damaged or not a result file ({error}).",
+            "Copy it again from where it was made, or repeat the run.",
+        ) from error

@@ -1,0 +1,66 @@
+"""What the API takes and answers, as pydantic models that depend on nothing else."""
+
+from __future__ import annotations
+
+from chamfer_morph.schemas.catalog import ExportFormat, ParticleField, Resource
+from chamfer_morph.schemas.events import Event, EventPage
+from chamfer_morph.schemas.exports import Export, ExportRequest
+from chamfer_morph.schemas.jobs import Job, JobPage, JobRequest, JobState, Outcome, Progress
+from chamfer_morph.schemas.keys import Key, KeyRequest, NewKey
+from chamfer_morph.schemas.meshes import Mesh, MeshPage
+from chamfer_morph.schemas.problems import Problem, ProblemDocument
+from chamfer_morph.schemas.shapes import BuiltInShape, MeshShape, Shape
+from chamfer_morph.schemas.sweeps import Sweep, SweepRequest, SweepRow
+from chamfer_morph.schemas.types import (
+    Device,
+    Fit,
+    FrameFormat,
+    Name,
+    Request,
+    Scope,
+    Seed,
+    Sha256,
+    SurfaceFormat,
+    Units,
+)
+from chamfer_morph.schemas.workers import WorkerStatus
+
+__all__ = [
+    "BuiltInShape",
+    "Device",
+    "Event",
+    "EventPage",
+    "Export",
+    "ExportFormat",
+    "ExportRequest",
+    "Fit",
+    "FrameFormat",
+    "Job",
+    "JobPage",
+    "JobRequest",
+    "JobState",
+    "Key",
+    "KeyRequest",
+    "Mesh",
+    "MeshPage",
+    "MeshShape",
+    "Name",
+    "NewKey",
+    "Outcome",
+    "ParticleField",
+    "Problem",
+    "ProblemDocument",
+    "Progress",
+    "Request",
+    "Resource",
+    "Scope",
+    "Seed",
+    "Sha256",
+    "Shape",
+    "SurfaceFormat",
+    "Sweep",
+    "SweepRequest",
+    "SweepRow",
+    "Units",
+    "WorkerStatus",
+]

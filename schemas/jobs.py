@@ -1,0 +1,107 @@
+"""Jobs: what is asked for, and how they stand."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from enum import Enum
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from chamfer_morph.schemas.problems import Problem
+from chamfer_morph.schemas.shapes import Shape
+from chamfer_morph.schemas.types import Device, Name, Request, Seed, Sha256
+
+
+class JobState(str, Enum):
+    """Where a job stands; `chamfer_morph.worker.job_state` has the transitions."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+    TIMED_OUT = "timed_out"
+
+    @property
+    def finished(self) -> bool:
+        """Whether the job rests until somebody retries or resumes it."""
+        return self not in (JobState.QUEUED, JobState.RUNNING)
+
+
+class Outcome(BaseModel):
+    """What a succeeded job left behind."""
+
+    sha256: Sha256 = Field(description="Digest of result.vtkhdf.")
+    size_bytes: int
+    frames: int
+    metrics: dict[str, float] = Field(description="Metrics of the last frame.")
+    particle_count: int
+    target_count: int
+    cpu_seconds: float = Field(description="CPU time of the last attempt [s].")
+    peak_memory_mb: float = Field(description="Largest resident memory of the last attempt [MB].")
+
+
+class JobRequest(Request):
+    """A morph to compute."""
+
+    source: Shape = Field(description="Where the particles come from.")
+    target: Shape = Field(description="What they are to become.")
+    preset: str = Field("fast", description="Configuration to start from, see /v1/presets.")
+    overrides: dict[str, Any] = Field(
+        default_factory=dict, description='Settings by dotted path, e.g. {"chamfer.weight": 5}.'
+    )
+    method: str | None = Field(None, description="Short for the override `method`.")
+    frames: int | None = Field(None, ge=1, le=10000, description="Short for the override `frames`.")
+    seed: Seed | None = Field(None, description="Short for the override `seed`.")
+    name: Name = Field("", description="For your own use.")
+    device: Device = "auto"
+    priority: int = Field(100, ge=1, le=1000, description="Smaller runs earlier among your jobs.")
+    timeout_seconds: float | None = Field(None, gt=0, description="Stop after so long [s].")
+
+
+class Progress(BaseModel):
+    """How far a job has come."""
+
+    frame: int = Field(description="Finished frames.")
+    frames: int = Field(description="Frames asked for.")
+    attempt: int = Field(description="1 for the first attempt.")
+    metrics: dict[str, float] = Field(
+        default_factory=dict, description="Of the last finished frame."
+    )
+    seconds_left: float | None = Field(None, description="Estimate of the time left [s].")
+
+
+class Job(BaseModel):
+    """A job as it stands."""
+
+    id: str
+    name: str
+    state: JobState
+    source: Shape
+    target: Shape
+    source_name: str
+    target_name: str
+    method: str
+    preset: str
+    seed: int
+    device: Device
+    priority: int
+    sweep: str | None
+    owner: str = Field(description="Name of the key that submitted it; empty without keys.")
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    progress: Progress
+    queue_position: int | None = Field(
+        description="Jobs to be started before it; null unless queued."
+    )
+    outcome: Outcome | None = Field(description="Once it has succeeded.")
+    problem: Problem | None = Field(description="Once it has failed or timed out.")
+
+
+class JobPage(BaseModel):
+    """Some jobs, the newest first."""
+
+    items: list[Job]
+    next_cursor: str | None

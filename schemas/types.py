@@ -1,0 +1,25 @@
+"""Types that several schemas share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
+Scope = Literal["read", "submit", "admin"]
+FrameFormat = Literal["f32", "u16", "ply", "npy"]
+SurfaceFormat = Literal["glb", "ply", "obj", "stl"]
+Units = Literal["grid", "user"]
+Fit = Literal["auto", "none", "volume", "extent"]
+"""How a shape is placed in the domain; `auto` scales only what does not fit."""
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]
+
+
+class Request(BaseModel):
+    """Base of request bodies: unknown fields and other types are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)

@@ -1,0 +1,60 @@
+"""The API process: answer requests on a socket until told to end."""
+
+from __future__ import annotations
+
+import gc
+import socket
+
+import uvicorn
+
+from chamfer_morph.server.app import create_app
+from chamfer_morph.server.context import Service
+from chamfer_morph.server.http.security_headers import SecurityHeaders
+from chamfer_morph.worker.settings import Settings
+
+GRACE_SECONDS = 5
+KEEP_ALIVE_SECONDS = 30
+
+
+class ApiServer(uvicorn.Server):
+    """Ends event streams at once when it is told to stop, and waits a while for other requests.
+
+    Args:
+        settings: What to serve.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._app = create_app(settings)
+        super().__init__(
+            uvicorn.Config(
+                SecurityHeaders(self._app),
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                lifespan="on",
+                timeout_graceful_shutdown=GRACE_SECONDS,
+                timeout_keep_alive=KEEP_ALIVE_SECONDS,
+            )
+        )
+
+    @property
+    def service(self) -> Service:
+        """What the endpoints share, once it has started."""
+        service: Service = self._app.state.service
+        return service
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to answer.
+
+        What lives until the end, imported modules above all, is taken out of garbage collection:
+        to go through it halts all requests for a quarter of a second.
+        """
+        await super().startup(sockets)
+        gc.collect()
+        gc.freeze()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop answering."""
+        self.service.watches.close()
+        self.service.end_children()
+        await super().shutdown(sockets)

@@ -1,0 +1,137 @@
+"""Who may call what: bearer keys, or nobody's key from the same machine."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import time
+from collections.abc import Awaitable, Callable
+from functools import lru_cache
+from typing import Annotated
+
+import anyio
+from fastapi import Depends, Request
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+
+from chamfer_morph.schemas import Scope
+from chamfer_morph.server.database.api_keys import Caller, Keyring, digest
+from chamfer_morph.server.http.problems import ProblemError
+
+CACHE_SECONDS = 1.0
+"""A key revoked by another process works for so long."""
+
+NOBODY = Caller("", "admin")
+"""The caller where no keys are needed."""
+
+BEARER = HTTPBearer(
+    scheme_name="key",
+    description="A key made by `POST /v1/keys`. None is needed from the same machine as long as "
+    "there are no keys.",
+    auto_error=False,
+)
+
+
+@lru_cache(maxsize=256)
+def is_loopback(host: str) -> bool:
+    """Whether an address, or the name in a Host header, stays on this machine."""
+    name = host.strip("[]").lower()
+    if name == "localhost" or name.endswith(".localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False
+
+
+class Gate:
+    """Finds the caller of a request.
+
+    Args:
+        keyring: The keys.
+        open_without_keys: Whether no key is needed while there are none.
+    """
+
+    def __init__(self, keyring: Keyring, *, open_without_keys: bool) -> None:
+        self._keyring = keyring
+        self._open = open_without_keys
+        self._callers: dict[str, Caller] = {}
+        self._read_at = float("-inf")
+
+    def forget(self) -> None:
+        """Read the keys again at the next request."""
+        self._read_at = float("-inf")
+
+    async def caller(self, request: Request, secret: str | None) -> Caller:
+        """The caller.
+
+        Raises:
+            ProblemError: 401 for a missing or wrong key, 403 for a foreign page or host name.
+        """
+        if time.monotonic() - self._read_at > CACHE_SECONDS:
+            self._callers = await anyio.to_thread.run_sync(self._keyring.callers)
+            self._read_at = time.monotonic()
+        if secret is not None:
+            return self._known(secret)
+        if self._callers or not self._open:
+            raise _unauthorized("This needs a key.")
+        _check_local(request)
+        return NOBODY
+
+    def _known(self, secret: str) -> Caller:
+        wanted = digest(secret)
+        for stored, caller in self._callers.items():
+            if hmac.compare_digest(stored, wanted):
+                return caller
+        raise _unauthorized("This key is unknown or revoked.")
+
+
+def require(scope: Scope) -> Callable[..., Awaitable[Caller]]:
+    """A dependency that answers the caller if the key includes a scope."""
+
+    async def caller(
+        request: Request,
+        key: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)],
+    ) -> Caller:
+        if key is None and "authorization" in request.headers:
+            raise _unauthorized("The Authorization header holds no bearer key.")
+        gate: Gate = request.app.state.gate
+        found = await gate.caller(request, key.credentials if key else None)
+        if not found.may(scope):
+            raise ProblemError(
+                403,
+                f"The key {found.name!r} lacks the scope {scope}.",
+                "Use another key, or ask whoever runs the service for one.",
+            )
+        return found
+
+    return caller
+
+
+Reader = Annotated[Caller, Depends(require("read"))]
+Submitter = Annotated[Caller, Depends(require("submit"))]
+Admin = Annotated[Caller, Depends(require("admin"))]
+
+
+def _check_local(request: Request) -> None:
+    """Without keys, no web page of another site may reach the service through the browser."""
+    if not is_loopback(request.url.hostname or ""):
+        raise ProblemError(
+            403,
+            f"Without keys this service answers to the names of its own machine only, not to "
+            f"{request.url.hostname!r}.",
+            "Call it as 127.0.0.1 or localhost, or make a key.",
+        )
+    unsafe = request.method not in ("GET", "HEAD", "OPTIONS")
+    if unsafe and request.headers.get("sec-fetch-site") in ("cross-site", "same-site"):
+        raise ProblemError(
+            403, "A page of another site may not do this without a key.", "Make a key."
+        )
+
+
+def _unauthorized(detail: str) -> ProblemError:
+    return ProblemError(
+        401,
+        detail,
+        "Send it as `Authorization: Bearer <key>`; `morph keys create` makes one.",
+        headers={"WWW-Authenticate": "Bearer"},
+    )

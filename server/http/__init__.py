@@ -1,0 +1,1 @@
+"""What HTTP itself asks for: bodies, encodings, cursors, conditional requests, problems."""

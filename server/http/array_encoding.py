@@ -1,0 +1,98 @@
+"""Points as bytes: float32, 16-bit levels, PLY, NumPy; headers tell how to read them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from fastapi import Request, Response
+from numpy.typing import NDArray
+
+from chamfer_morph.schemas import FrameFormat
+from chamfer_morph.server.http.conditional import file_answer
+
+BYTES = "application/octet-stream"
+PLY = "application/x-ply"
+NPY = "application/x-npy"
+LEVELS = 65535
+
+BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
+
+
+def described(what: str, **headers: tuple[str, str]) -> dict[int | str, dict[str, Any]]:
+    """The contract of an answer that holds points.
+
+    Args:
+        what: What they are.
+        **headers: Further headers by name, with _ for -: the JSON type of each and its meaning.
+    """
+    named = {
+        "Morph-Particles": ("integer", "Number of points."),
+        "Morph-Offset": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
+        "Morph-Scale": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
+    } | {name.replace("_", "-"): told for name, told in headers.items()}
+    return {
+        200: {
+            "content": {BYTES: BINARY, PLY: BINARY, NPY: BINARY},
+            "headers": {
+                name: {"schema": {"type": kind}, "description": meaning}
+                for name, (kind, meaning) in named.items()
+            },
+            "description": what,
+        },
+        304: {"description": "You have it already."},
+    }
+
+
+def answer(
+    request: Request,
+    positions: NDArray[np.float32],
+    format: FrameFormat,
+    extent: float,
+    headers: Mapping[str, str],
+) -> Response:
+    """Points as the answer to a request, or that the caller has them already.
+
+    Args:
+        request: May name the version that the caller has.
+        positions: Positions [grid units], shape [n, 3], float32.
+        format: f32, u16, ply or npy.
+        extent: Half edge of the domain [grid units].
+        headers: Further headers.
+    """
+    body, media_type = encode(positions, format, extent)
+    told = {"Morph-Particles": str(len(positions)), **headers}
+    if format == "u16":
+        told |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / LEVELS)}
+    return file_answer(request, body, media_type, told)
+
+
+def encode(positions: NDArray[np.float32], format: FrameFormat, extent: float) -> tuple[bytes, str]:
+    """Positions as bytes.
+
+    Args:
+        positions: Particle positions [grid units], shape [n, 3], float32.
+        format: f32, u16, ply or npy.
+        extent: Half edge of the domain, which the levels of u16 divide evenly [grid units].
+
+    Returns:
+        The bytes and their media type.
+    """
+    plain = np.ascontiguousarray(positions, "<f4")
+    if format == "f32":
+        return plain.tobytes(), BYTES
+    if format == "u16":
+        levels = np.nan_to_num((plain.astype(np.float64) + extent) * (LEVELS / (2 * extent)))
+        return np.rint(levels).clip(0, LEVELS).astype("<u2").tobytes(), BYTES
+    if format == "npy":
+        file = io.BytesIO()
+        np.save(file, plain, allow_pickle=False)
+        return file.getvalue(), NPY
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in grid units\n"
+        f"element vertex {len(plain)}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    return header.encode() + plain.tobytes(), PLY

@@ -1,0 +1,48 @@
+"""Opaque cursors: where a listing goes on."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from typing import Annotated
+
+from fastapi import Query
+
+from chamfer_morph.server.http.problems import ProblemError
+
+Limit = Annotated[int, Query(ge=1, le=100, description="Items of a page.")]
+Cursor = Annotated[
+    str | None,
+    Query(max_length=200, description="`next_cursor` of the page before; none for the first."),
+]
+
+
+def encode(age: int, name: str) -> str:
+    """A cursor behind an item of an age [any unit since 1970] and a name."""
+    return base64.urlsafe_b64encode(json.dumps([age, name]).encode()).decode().rstrip("=")
+
+
+def decode(cursor: str | None) -> tuple[int, str] | None:
+    """The age and the name in a cursor; None for the first page.
+
+    Raises:
+        ProblemError: 422, it was not made by `encode`.
+    """
+    if cursor is None:
+        return None
+    try:
+        text = base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True)
+        age, name = json.loads(text)
+    except (binascii.Error, ValueError, TypeError):
+        raise _unknown() from None
+    whole = isinstance(age, int) and not isinstance(age, bool) and 0 <= age < 1 << 53
+    if not whole or not isinstance(name, str) or not name.isalnum():
+        raise _unknown()
+    return age, name
+
+
+def _unknown() -> ProblemError:
+    return ProblemError(
+        422, "This cursor is not one of ours.", "Pass `next_cursor` as it came, or none."
+    )

@@ -1,0 +1,213 @@
+"""One shape for every error: RFC 9457 problem+json, with a cause and a remedy."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from chamfer_morph.schemas import ProblemDocument
+from morph_engine.errors import MorphError
+
+MEDIA_TYPE = "application/problem+json"
+
+KINDS: dict[int, tuple[str, str]] = {
+    400: ("malformed", "The request cannot be read"),
+    401: ("unauthorized", "A valid key is needed"),
+    403: ("forbidden", "The key does not allow this"),
+    404: ("not-found", "There is no such thing"),
+    405: ("method-not-allowed", "This cannot be done here"),
+    408: ("stalled", "The upload stalled"),
+    409: ("conflict", "Not in this state"),
+    413: ("too-large", "Too large"),
+    415: ("unsupported-type", "Not in a known format"),
+    416: ("range", "There is no such part of the file"),
+    422: ("invalid", "The request is not valid"),
+    429: ("too-many", "Too much at once"),
+    500: ("internal", "This is a fault of the service"),
+    503: ("unavailable", "The service is not ready"),
+}
+"""Status to the stable name of the problem and its title."""
+
+
+class ProblemError(Exception):
+    """An answer other than the one asked for.
+
+    Args:
+        status: HTTP status, one of `KINDS`.
+        detail: What is wrong.
+        remedy: What to do about it.
+        headers: Further headers of the answer.
+        errors: Faults of single fields.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        remedy: str = "",
+        *,
+        headers: Mapping[str, str] | None = None,
+        errors: Sequence[dict[str, Any]] = (),
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail
+        self.remedy = remedy
+        self.headers = dict(headers or {})
+        self.errors = list(errors)
+
+    def document(self) -> ProblemDocument:
+        """The body of the answer."""
+        name, title = KINDS.get(self.status, KINDS[400 if self.status < 500 else 500])
+        return ProblemDocument(
+            type=f"/problems/{name}",
+            title=title,
+            status=self.status,
+            detail=self.detail,
+            remedy=self.remedy,
+            errors=self.errors,
+        )
+
+    def response(self) -> Response:
+        """The answer."""
+        body = json.dumps(self.document().model_dump(mode="json"))
+        return Response(body, self.status, self.headers, MEDIA_TYPE)
+
+
+def not_found(what: str, name: str) -> ProblemError:
+    """There is none of that name, or none that the caller may see."""
+    return ProblemError(404, f"There is no {what} {name[:80]!r}.", "Check the id, and the key.")
+
+
+def invalid(error: ValidationError | RequestValidationError) -> ProblemError:
+    """Fields that are missing, unknown or out of range."""
+    faults = [
+        {"loc": list(fault["loc"]), "msg": fault["msg"], "type": fault["type"]}
+        for fault in error.errors()
+    ]
+    first = faults[0]
+    place = ".".join(str(part) for part in first["loc"])
+    return ProblemError(
+        422,
+        f"{place}: {first['msg']}." if place else f"{first['msg']}.",
+        "See /docs for the fields and their ranges.",
+        errors=faults,
+    )
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of an application in the one shape."""
+
+    async def problem(request: Request, error: Exception) -> Response:
+        found = as_problem(error)
+        if found.status == 405:
+            found.headers["Allow"] = ", ".join(_methods(app, request.url.path))
+        return found.response()
+
+    for kind in (
+        ProblemError,
+        MorphError,
+        RequestValidationError,
+        HTTPException,
+        OperationalError,
+        InterfaceError,
+        PoolTimeoutError,
+        Exception,
+    ):
+        app.add_exception_handler(kind, problem)
+    app.add_middleware(ProblemMiddleware)
+
+
+def as_problem(error: Exception) -> ProblemError:
+    """The answer to an exception."""
+    if isinstance(error, ProblemError):
+        return error
+    if isinstance(error, MorphError):
+        return ProblemError(422, error.cause, error.remedy)
+    if isinstance(error, RequestValidationError):
+        return invalid(error)
+    if isinstance(error, HTTPException):
+        return _plain(error.status_code, str(error.detail), error.headers)
+    if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
+        return ProblemError(
+            503,
+            "The database does not answer.",
+            "Try again in a few seconds.",
+            headers={"Retry-After": "5"},
+        )
+    return ProblemError(
+        500,
+        f"This is a fault of the service: {type(error).__name__}.",
+        "Try again; if it happens again, report it with the log of the service.",
+    )
+
+
+def _methods(app: FastAPI, path: str) -> list[str]:
+    """All methods of an address; the framework names those of the first route it finds."""
+    return sorted(
+        {
+            method.upper()
+            for template, item in app.openapi()["paths"].items()
+            if re.fullmatch(re.sub(r"{\w+}", "[^/]+", template), path)
+            for method in item
+        }
+        or {"GET"}  # the pages about the contract are not in it
+    )
+
+
+def _plain(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
+    remedies = {
+        404: "See /docs for the addresses there are.",
+        405: "See /docs for the methods of this address.",
+        416: "Ask for a range within the length that Content-Range names.",
+    }
+    return ProblemError(
+        status, f"{detail.rstrip('.')}.", remedies.get(status, "See /docs."), headers=headers
+    )
+
+
+class ProblemMiddleware:
+    """Turns the plain-text errors of the framework, such as 416, into the one shape."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        replaced = False
+
+        async def send_problem(message: Message) -> None:
+            nonlocal replaced
+            if message["type"] == "http.response.start" and message["status"] >= 400:
+                headers = {
+                    name.decode("latin-1").lower(): value.decode("latin-1")
+                    for name, value in message["headers"]
+                }
+                if headers.get("content-type", "text/plain").startswith("text/plain"):
+                    replaced = True
+                    kept = {
+                        name: value
+                        for name, value in headers.items()
+                        if name in ("allow", "content-range", "retry-after", "www-authenticate")
+                    }
+                    _, title = KINDS.get(message["status"], KINDS[400])
+                    await _plain(message["status"], title, kept).response()(scope, receive, send)
+                    return
+            if not replaced:
+                await send(message)
+
+        await self.app(scope, receive, send_problem)

@@ -1,0 +1,62 @@
+"""Where the API listens, and where it must not."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+
+from chamfer_morph.server.auth import is_loopback
+from chamfer_morph.server.database.api_keys import Keyring
+from chamfer_morph.worker.settings import Settings
+from morph_engine.errors import ConfigError
+
+BACKLOG = 1024
+
+
+def check_keys(settings: Settings, keyring: Keyring) -> None:
+    """Refuse to listen to other machines without keys.
+
+    Raises:
+        ConfigError: The address is not on loopback, and there is no key.
+    """
+    if not is_loopback(settings.host) and not keyring.callers():
+        raise ConfigError(
+            f"Without keys everybody who reaches {settings.host} could use this service.",
+            "Make one with `python -m chamfer_morph.server keys add NAME --scope admin`, or "
+            "listen on 127.0.0.1.",
+        )
+
+
+def listen(settings: Settings) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        ConfigError: The address or the port cannot be had.
+    """
+    try:
+        family, kind, protocol, _, place = socket.getaddrinfo(
+            settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        listener = socket.socket(family, kind, protocol)
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # connections inherit it
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(place)
+        listener.listen(BACKLOG)
+    except OSError as error:
+        raise ConfigError(
+            f"Cannot listen on {settings.host} port {settings.port} ({error.strerror or error}).",
+            "Choose another with MORPH_PORT or MORPH_HOST; MORPH_PORT=0 takes a free port.",
+        ) from error
+    return listener
+
+
+def address(settings: Settings, listener: socket.socket) -> str:
+    """Where a caller on this machine finds the API."""
+    port = listener.getsockname()[1]
+    host = settings.host
+    try:
+        if ipaddress.ip_address(host).is_unspecified:
+            host = "127.0.0.1"
+    except ValueError:
+        pass
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -1,0 +1,78 @@
+"""/v1/jobs/{id}/events: what happens to a job, as a stream or by polling."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import anyio
+from fastapi import APIRouter, Header, Query, Request
+from fastapi.sse import EventSourceResponse
+
+from chamfer_morph.schemas import Event, EventPage
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.worker.queue import JobRecord
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["events"])
+
+SSE = "text/event-stream"
+LARGEST_ID = 2**53
+
+
+@router.get(
+    "/events",
+    operation_id="getEvents",
+    summary="Events of a job",
+    response_model=EventPage,
+    responses={
+        200: {
+            "content": {SSE: {"schema": {"type": "string"}}},
+            "description": "A page, or with `Accept: text/event-stream` a stream.",
+        }
+    },
+)
+async def get_events(
+    job_id: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    after: Annotated[
+        int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")
+    ] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Events of a page.")] = 100,
+    last_event_id: Annotated[
+        str | None, Header(description="As `after`; browsers send it when they reconnect.")
+    ] = None,
+) -> Any:
+    """Attempts, finished frames, steps of the watchdog, problems and changes of state.
+
+    With `Accept: text/event-stream` they come as server-sent events as they happen, each with the
+    same JSON as in a page; the stream ends once the job rests, after a last `state` event. A
+    stream that breaks off goes on with `Last-Event-ID`.
+    """
+    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
+    if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
+        after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
+    if wants_stream(request.headers.get("accept", "")):
+        service.watches.check_room()
+        return EventSourceResponse(
+            service.watches.stream(record.id, after),
+            headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
+        )
+    return await anyio.to_thread.run_sync(_page, record, after, limit, service)
+
+
+def wants_stream(accept: str) -> bool:
+    """Whether an Accept header asks for server-sent events."""
+    return any(part.partition(";")[0].strip().lower() == SSE for part in accept.split(","))
+
+
+def _page(record: JobRecord, after: int, limit: int, service: Service) -> EventPage:
+    """Events of the log; the state was read before, so a final one has all its events."""
+    logged = service.storage.events(record.id).read(after, limit)
+    items = [
+        Event.model_validate({"id": e.id, "type": e.type, "at": e.at, "data": e.data})
+        for e in logged
+    ]
+    return EventPage(items=items, last_id=items[-1].id if items else after, state=record.state)

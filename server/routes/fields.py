@@ -1,0 +1,171 @@
+"""/v1/fields and /v1/jobs/{id}/frames/{index}/fields/{field}: numbers to colour particles by."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated, Literal
+
+import anyio
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from numpy.typing import NDArray
+
+from chamfer_morph.schemas import ParticleField
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.http.array_encoding import BINARY, BYTES
+from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.worker.frame_reader import Frame, read_det_f
+from chamfer_morph.worker.queue import JobRecord
+
+router = APIRouter(tags=["fields"])
+
+LEVELS = 255
+
+ValueFormat = Literal["u8", "f32"]
+Bound = Annotated[float | None, Query(allow_inf_nan=False)]
+
+
+@router.get("/fields", operation_id="listFields", summary="List fields")
+def list_fields(caller: Reader) -> list[ParticleField]:
+    """What particles can be coloured by: one number for each particle and frame."""
+    from morph_engine.results.fields import FIELDS
+
+    return [
+        ParticleField(
+            name=name, label=f.label, unit=f.unit, meaning=f.meaning, diverging=f.diverging
+        )
+        for name, f in FIELDS.items()
+    ]
+
+
+@router.get(
+    "/jobs/{job_id}/frames/{index}/fields/{field}",
+    operation_id="getField",
+    summary="One number per particle",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {BYTES: BINARY},
+            "headers": {
+                name: {"schema": {"type": kind}, "description": meaning}
+                for name, kind, meaning in (
+                    ("Morph-Frame", "integer", "Index of the frame."),
+                    ("Morph-Particles", "integer", "Number of values."),
+                    ("Morph-Low", "number", "Value of the byte 0."),
+                    ("Morph-High", "number", "Value of the byte 255."),
+                    ("Morph-Offset", "number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
+                    ("Morph-Scale", "number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
+                )
+            },
+            "description": "The values, in the order of the particles.",
+        },
+        304: {"description": "You have it already."},
+    },
+)
+async def get_field(
+    job_id: str,
+    index: int,
+    field: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    format: Annotated[ValueFormat, Query(description="How to encode the values.")] = "u8",
+    low: Bound = None,
+    high: Bound = None,
+) -> Response:
+    """A field of a finished frame, also while the job runs; /v1/fields names them.
+
+    `u8`: a byte for each particle; value = Morph-Offset + Morph-Scale x byte, clamped to the range
+    from `low` to `high`, by default that of the frame. `f32`: little-endian float32. A particle
+    that has no value, for it left all bounds, is a NaN in f32 and 0 in u8.
+    """
+    from morph_engine.results.fields import FIELDS
+
+    if field not in FIELDS:
+        raise ProblemError(
+            404, f"There is no field {field[:80]!r}.", f"Fields are {', '.join(FIELDS)}."
+        )
+    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
+    frame = await anyio.to_thread.run_sync(job_representation.find_frame, record, index, service)
+    etag = await anyio.to_thread.run_sync(_etag, frame, f"{field} {format} {low} {high}")
+    headers = tagged(etag)
+    if answer := unchanged(request, headers):
+        return answer
+
+    def encoded() -> tuple[bytes, dict[str, str]]:
+        return _encode(_compute(record, frame, field, service), format, low, high)
+
+    body, told = await anyio.to_thread.run_sync(encoded, limiter=service.computations)
+    headers |= {"Morph-Frame": str(frame.index), **told}
+    return Response(body, headers=headers, media_type=BYTES)
+
+
+def _etag(frame: Frame, what: str) -> str:
+    """What a field follows from: the frame, those before it, and what is asked for."""
+    digest = hashlib.sha256(frame.positions.tobytes())
+    digest.update(f"{frame.index} {what}".encode())
+    return digest.hexdigest()
+
+
+def _encode(
+    values: NDArray[np.float32], format: ValueFormat, low: float | None, high: float | None
+) -> tuple[bytes, dict[str, str]]:
+    """Values as bytes, and the headers that tell how to read them.
+
+    Raises:
+        ProblemError: 422, the range ends before it begins.
+    """
+    low, high = _range(values, low, high)
+    headers = {
+        "Morph-Particles": str(len(values)),
+        "Morph-Low": repr(low),
+        "Morph-High": repr(high),
+    }
+    if format == "f32":
+        return values.astype("<f4").tobytes(), headers
+    scale = (high - low) / LEVELS
+    headers |= {"Morph-Offset": repr(low), "Morph-Scale": repr(scale)}
+    levels = np.nan_to_num((values.astype(np.float64) - low) / (scale or 1))
+    return np.rint(levels).clip(0, LEVELS).astype(np.uint8).tobytes(), headers
+
+
+def _compute(record: JobRecord, frame: Frame, name: str, service: Service) -> NDArray[np.float32]:
+    from morph_engine.results.fields import field
+
+    inputs = job_representation.find_inputs(record, service)
+    det_f = None
+    if name == "det_f":
+        det_f = read_det_f(service.storage.result_path(record.id), frame.index)
+    before = (
+        job_representation.find_frame(record, frame.index - 1, service) if frame.index else None
+    )
+    return field(
+        name,
+        positions=frame.positions,
+        previous=before.positions if before else None,
+        source=inputs.source_points,
+        target=inputs.target_points,
+        det_f=det_f,
+    )
+
+
+def _range(
+    values: NDArray[np.float32], low: float | None, high: float | None
+) -> tuple[float, float]:
+    """The range to encode: the one asked for, else that of the values.
+
+    Raises:
+        ProblemError: 422, it ends before it begins.
+    """
+    finite = values[np.isfinite(values)]
+    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    lower = least if low is None else low
+    upper = max(most, lower) if high is None else high
+    if upper < lower:
+        if low is None:
+            return upper, upper
+        raise ProblemError(422, f"high is {upper:g} and low {lower:g}.", "Give low below high.")
+    return lower, upper

@@ -1,0 +1,136 @@
+"""/livez, /readyz and /metrics, for whatever looks after the service."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Literal
+
+from fastapi import APIRouter, Request, Response
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.registry import Collector
+from pydantic import BaseModel
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.http.problems import ProblemError
+
+router = APIRouter(tags=["health"])
+
+
+class Health(BaseModel):
+    """The service answers."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Instruments:
+    """What is measured of the requests themselves."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.requests = Counter(
+            "morph_requests",
+            "Answered requests.",
+            ("operation", "status"),
+            registry=self.registry,
+        )
+        self.seconds = Histogram(
+            "morph_request_seconds",
+            "Time until an answer begins [s].",
+            ("operation",),
+            registry=self.registry,
+            buckets=(0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30),
+        )
+        self.open = Gauge("morph_requests_open", "Requests under way.", registry=self.registry)
+
+    def watch(self, service: Service) -> None:
+        """Measure the queue of a service too."""
+        self.registry.register(_QueueCollector(service))
+
+
+class MeasuringMiddleware:
+    """Counts and times every request by the operation that answers it."""
+
+    def __init__(self, app: ASGIApp, instruments: Instruments) -> None:
+        self.app = app
+        self.instruments = instruments
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        begun = time.perf_counter()
+
+        async def send_measured(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                seconds = time.perf_counter() - begun
+                operation = getattr(scope.get("route"), "operation_id", None) or "none"
+                self.instruments.requests.labels(operation, str(message["status"])).inc()
+                self.instruments.seconds.labels(operation).observe(seconds)
+            await send(message)
+
+        with self.instruments.open.track_inprogress():
+            await self.app(scope, receive, send_measured)
+
+
+class _QueueCollector(Collector):
+    """Asks the queue when it is scraped."""
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+
+    def describe(self) -> Iterator[GaugeMetricFamily]:
+        yield GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
+        yield GaugeMetricFamily("morph_event_streams", "Open event streams.")
+
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        jobs = GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
+        for state, count in self._service.queue.counts().items():
+            jobs.add_metric((state.value,), count)
+        yield jobs
+        streams = GaugeMetricFamily("morph_event_streams", "Open event streams.")
+        streams.add_metric((), self._service.watches.watchers)
+        yield streams
+
+
+@router.get("/livez", operation_id="livez", summary="Is the process alive?")
+async def livez() -> Health:
+    """Answers as long as the process does."""
+    return Health()
+
+
+@router.get("/readyz", operation_id="readyz", summary="Can it take requests?")
+def readyz(service: Services) -> Health:
+    """Answers once the database and the data directory can be used."""
+    try:
+        service.queue.ping()
+        probe = service.storage.uploads / ".ready"
+        probe.touch()
+    except Exception as error:
+        what = "The data directory" if isinstance(error, OSError) else "The database"
+        raise ProblemError(
+            503,
+            f"{what} cannot be used now.",
+            "Try again in a few seconds.",
+            headers={"Retry-After": "5"},
+        ) from error
+    return Health()
+
+
+@router.get(
+    "/metrics",
+    operation_id="metrics",
+    summary="Figures for Prometheus",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def metrics(request: Request) -> Response:
+    """Requests, their times, jobs by state and open streams, in Prometheus's text format."""
+    instruments: Instruments = request.app.state.instruments
+    return Response(
+        generate_latest(instruments.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}
+    )

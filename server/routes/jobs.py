@@ -1,0 +1,272 @@
+"""/v1/jobs: submit, list, show, cancel, resume, retry, delete."""
+
+from __future__ import annotations
+
+import json
+from contextlib import AsyncExitStack
+from datetime import datetime, timezone
+from typing import Annotated, Any
+
+import anyio
+from fastapi import APIRouter, Header, Query, Request, Response
+
+from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.http import cursors
+from chamfer_morph.server.http.body import media_type
+from chamfer_morph.server.http.json_body import load_json, read_json, validate
+from chamfer_morph.server.http.multipart import receive_form
+from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.routes.meshes import keep
+from chamfer_morph.server.submission import prepare, repeated_id, submit
+from chamfer_morph.worker.queue import JobRecord, new_job_id
+
+router = APIRouter(prefix="/jobs", tags=["jobs"])
+
+RETRY_AFTER = "1"
+
+EXAMPLES: dict[str, Any] = {
+    "sphere to star": {
+        "summary": "Two built-in shapes",
+        "value": {"source": {"shape": "sphere"}, "target": {"shape": "star"}},
+    },
+    "quick": {
+        "summary": "Fewer particles and frames",
+        "value": {
+            "source": {"shape": "sphere"},
+            "target": {"shape": "text:Hi"},
+            "preset": "fast",
+            "overrides": {"sampling.points_per_cell_edge": 2, "chamfer.weight": 5},
+            "method": "joint",
+            "frames": 12,
+            "seed": 7,
+            "name": "a first look",
+        },
+    },
+}
+
+SUBMIT_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "application/json": {
+                "schema": {"$ref": "#/components/schemas/JobRequest"},
+                "examples": EXAMPLES,
+            },
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["job"],
+                    "properties": {
+                        "job": {
+                            "type": "string",
+                            "contentMediaType": "application/json",
+                            "description": "A JobRequest; what is sent as a file is left out.",
+                        },
+                        "source": {"type": "string", "format": "binary"},
+                        "target": {"type": "string", "format": "binary"},
+                    },
+                }
+            },
+        },
+    }
+}
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        pattern=r"^[\x20-\x7e]+$",
+        description="Any text of your own; the same key again is the same job, not another one.",
+    ),
+]
+PlainText = Query(max_length=200, pattern=r"^[^\x00]*$")
+
+
+@router.post(
+    "",
+    status_code=202,
+    operation_id="submitJob",
+    summary="Submit a job",
+    responses={
+        200: {"model": Job, "description": "This Idempotency-Key has made this job before."}
+    },
+    openapi_extra=SUBMIT_BODY,
+)
+async def submit_job(
+    request: Request,
+    response: Response,
+    caller: Submitter,
+    service: Services,
+    idempotency_key: IdempotencyKey = None,
+) -> Job:
+    """Queue a morph between uploaded meshes or built-in shapes.
+
+    Send JSON; or a form with the JSON in a part `job` and mesh files in parts `source` and
+    `target`. Everything is checked first: what is accepted can run.
+    """
+    async with AsyncExitStack() as stack:
+        if media_type(request) == "multipart/form-data":
+            wanted = await _with_files(request, caller, service, stack)
+        else:
+            wanted = await read_json(request, JobRequest, service.settings)
+        job, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, service)
+    response.status_code = 202 if new else 200
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    response.headers["Retry-After"] = RETRY_AFTER
+    return job
+
+
+@router.get("", operation_id="listJobs", summary="List jobs", response_model=JobPage)
+def list_jobs(
+    caller: Reader,
+    service: Services,
+    state: Annotated[list[JobState], Query(description="Only these states.")] = [],  # noqa: B006
+    method: Annotated[str | None, PlainText] = None,
+    sweep: Annotated[str | None, PlainText] = None,
+    owner: Annotated[str | None, PlainText] = None,
+    limit: cursors.Limit = 50,
+    cursor: cursors.Cursor = None,
+) -> Response:
+    """Your jobs, the newest first; everybody's for an admin key.
+
+    `queue_position` is left out here; ask for a single job.
+    """
+    if owner is not None and not caller.sees(owner):
+        raise ProblemError(403, "These are another key's jobs.", "Leave `owner` out.")
+    before = cursors.decode(cursor)
+    records = service.queue.newest(
+        owner=caller.reach if owner is None else owner,
+        states=set(state) or None,
+        sweep=sweep,
+        method=method,
+        before=(_time(before[0]), before[1]) if before else None,
+        limit=limit + 1,
+    )
+    page, more = records[:limit], len(records) > limit
+    items = b",".join(job_representation.show_json(record, service, alone=False) for record in page)
+    following = cursors.encode(_age(page[-1]), page[-1].id) if more else None
+    body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())
+    return Response(body, media_type="application/json")
+
+
+@router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
+def get_job(job_id: str, caller: Reader, service: Services) -> Response:
+    """Where a job stands, how far it has come, and what it left."""
+    record = job_representation.find(job_id, caller, service)
+    return Response(job_representation.show_json(record, service), media_type="application/json")
+
+
+@router.delete("/{job_id}", status_code=204, operation_id="deleteJob", summary="Delete a job")
+def delete_job(job_id: str, caller: Submitter, service: Services) -> None:
+    """Forget a finished job and all its files."""
+    record = job_representation.find(job_id, caller, service)
+    job_representation.check_allowed(record, "delete")
+    service.queue.delete(job_id)
+    service.end_derived(job_id)
+    service.storage.remove_job(job_id)
+    service.limits.measure_again(record.owner)
+
+
+@router.post("/{job_id}/cancel", status_code=202, operation_id="cancelJob", summary="Cancel a job")
+def cancel_job(job_id: str, caller: Submitter, service: Services) -> Job:
+    """Stop a job. The frames it has finished stay; they can be fetched, and it can be resumed."""
+    record = job_representation.find(job_id, caller, service)
+    if record.state is not JobState.CANCELLED:
+        job_representation.check_allowed(record, "cancel")
+        service.queue.cancel(job_id)
+    return _show(job_id, caller, service)
+
+
+@router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
+def resume_job(job_id: str, caller: Submitter, service: Services) -> Job:
+    """Let a failed, cancelled or timed out job go on from its last frame."""
+    record = job_representation.find(job_id, caller, service)
+    job_representation.check_allowed(record, "resume")
+    _check_startable(record, service)
+    service.queue.resume(job_id)
+    return _show(job_id, caller, service)
+
+
+@router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
+def retry_job(job_id: str, caller: Submitter, service: Services) -> Job:
+    """Compute a finished job again from the beginning; what it left is deleted."""
+    record = job_representation.find(job_id, caller, service)
+    job_representation.check_allowed(record, "retry")
+    _check_startable(record, service)
+    service.end_derived(job_id)
+    service.queue.retry(job_id)
+    return _show(job_id, caller, service)
+
+
+def _submit(
+    wanted: JobRequest, key: str | None, caller: Caller, service: Service
+) -> tuple[Job, bool]:
+    submission = prepare(wanted, caller, service)
+    job_id = repeated_id("job", caller, key) if key else new_job_id()
+    if not key or service.queue.get(job_id) is None:
+        service.limits.check_jobs(caller.name)
+    record, new = submit(submission, job_id=job_id, caller=caller, service=service)
+    return job_representation.show(record, service), new
+
+
+async def _with_files(
+    request: Request, caller: Caller, service: Service, stack: AsyncExitStack
+) -> JobRequest:
+    """The request in a form, its files uploaded; nothing is kept if any part of it is wrong."""
+    form = await stack.enter_async_context(
+        receive_form(
+            request,
+            service.storage.uploads,
+            files={"source", "target"},
+            settings=service.settings,
+        )
+    )
+    if "job" not in form.fields or form.fields.keys() != {"job"}:
+        raise ProblemError(
+            422,
+            "The form needs the parts `job`, `source` and `target`, and no others.",
+            "Put the JSON in `job` and the files in `source` and `target`.",
+        )
+    body = load_json(form.fields["job"])
+    if not isinstance(body, dict) or body.keys() & form.files.keys():
+        raise ProblemError(
+            422,
+            "The part `job` is no JSON object, or names a shape that comes as a file too.",
+            "Leave out of it what is sent as a file.",
+        )
+    shapes = {role: {"mesh": upload.sha256} for role, upload in form.files.items()}
+    wanted = validate(body | shapes, JobRequest)
+    if form.files:
+        await anyio.to_thread.run_sync(service.limits.check_meshes, caller.name)
+        await keep(list(form.files.values()), caller, service)
+    return wanted
+
+
+def _show(job_id: str, caller: Caller, service: Service) -> Job:
+    """A job as it is now."""
+    return job_representation.show(job_representation.find(job_id, caller, service), service)
+
+
+def _check_startable(record: JobRecord, service: Service) -> None:
+    service.limits.check_jobs(record.owner)
+    for shape in (record.spec.source, record.spec.target):
+        if isinstance(shape, MeshShape) and service.storage.mesh_file(shape.mesh) is None:
+            raise ProblemError(
+                409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."
+            )
+
+
+def _age(record: JobRecord) -> int:
+    return round(record.created_at.timestamp() * 1000)
+
+
+def _time(milliseconds: int) -> datetime:
+    try:
+        return datetime.fromtimestamp(milliseconds / 1000, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return datetime.max.replace(tzinfo=timezone.utc)

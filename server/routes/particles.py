@@ -1,0 +1,92 @@
+"""/v1/meshes/{id}/particles and /v1/shapes/{name}/particles: a shape filled, before any job."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Query, Request, Response
+
+from chamfer_morph.schemas import Fit, FrameFormat
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Services
+from chamfer_morph.server.http import array_encoding
+from chamfer_morph.server.http.problems import not_found
+from chamfer_morph.server.routes import meshes
+from chamfer_morph.worker.tasks.sample_shape import Preview
+from morph_engine.config import GridConfig
+
+router = APIRouter()
+
+EXTENT = GridConfig().half_extent
+"""Half edge of the usual domain [grid units]."""
+
+Density = Annotated[int, Query(ge=1, le=8, description="Lattice points per grid unit and axis.")]
+Placing = Annotated[
+    Fit, Query(description="How to place it; `auto` scales only what does not fit.")
+]
+Format = Annotated[FrameFormat, Query(description="How to encode the positions.")]
+
+ANSWER = array_encoding.described(
+    "Positions of all particles.",
+    Morph_Count=("integer", "Number of particles."),
+    Morph_Warnings=("string", "What to know of the shape: a JSON list of sentences."),
+)
+
+
+@router.get(
+    "/meshes/{mesh_id}/particles",
+    operation_id="getMeshParticles",
+    summary="Particles of a mesh",
+    tags=["meshes"],
+    response_class=Response,
+    responses=ANSWER,
+)
+async def get_mesh_particles(
+    mesh_id: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    points_per_cell_edge: Density = 3,
+    fit: Placing = "auto",
+    format: Format = "u16",
+) -> Response:
+    """The particles that a job would fill the mesh with, encoded as frames are."""
+    row = await anyio.to_thread.run_sync(meshes.find, mesh_id, caller, service)
+    path = service.storage.mesh_file(mesh_id)
+    if path is None:
+        raise not_found("mesh", mesh_id)
+    preview = await service.previews.get(path, row.name, points_per_cell_edge, fit, request)
+    known = service.storage.mesh_report(mesh_id)["warnings"]
+    return await anyio.to_thread.run_sync(_answer, request, preview, format, known)
+
+
+@router.get(
+    "/shapes/{shape:path}/particles",
+    operation_id="getShapeParticles",
+    summary="Particles of a built-in shape",
+    tags=["catalog"],
+    response_class=Response,
+    responses=ANSWER,
+)
+async def get_shape_particles(
+    shape: str,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    points_per_cell_edge: Density = 3,
+    fit: Placing = "auto",
+    format: Format = "u16",
+) -> Response:
+    """The particles that a job would fill the shape with; `text:WORD` is one, too."""
+    preview = await service.previews.get(shape, shape, points_per_cell_edge, fit, request)
+    return await anyio.to_thread.run_sync(_answer, request, preview, format, [])
+
+
+def _answer(request: Request, preview: Preview, format: FrameFormat, known: list[str]) -> Response:
+    headers = {
+        "Morph-Count": str(len(preview.positions)),
+        "Morph-Warnings": json.dumps([*known, *preview.warnings]),
+    }
+    return array_encoding.answer(request, preview.positions, format, EXTENT, headers)

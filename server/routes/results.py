@@ -1,0 +1,168 @@
+"""/v1/jobs/{id}/...: the result file, single frames, metrics, configuration and log."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.responses import FileResponse
+
+from chamfer_morph.schemas import FrameFormat
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Services
+from chamfer_morph.server.http import array_encoding
+from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.worker.event_log import EventLog
+from morph_engine.digest import file_sha256
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+
+HDF5 = "application/vnd.hdfgroup.hdf5"
+
+TABLES_KEPT = 64
+"""Tables of metrics kept in memory, some 50 kB each."""
+
+
+@router.get(
+    "/result",
+    operation_id="getResult",
+    summary="Download the result",
+    response_class=Response,
+    responses={
+        200: {"content": {HDF5: array_encoding.BINARY}, "description": "The file."},
+        206: {
+            "content": {HDF5: array_encoding.BINARY},
+            "description": "The part asked for with Range.",
+        },
+        304: {"description": "You have it already."},
+    },
+)
+def get_result(job_id: str, request: Request, caller: Reader, service: Services) -> Response:
+    """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
+
+    Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
+    leaves the frames it had finished.
+    """
+    record = job_representation.find(job_id, caller, service)
+    path = job_representation.find_result(record, service)
+    if record.outcome is not None:
+        digest = record.outcome.sha256
+    else:
+        seen = path.stat()
+        digest = _digest(path, seen.st_mtime_ns, seen.st_size)
+    headers = tagged(digest)
+    return unchanged(request, headers) or FileResponse(
+        path,
+        headers=headers,
+        media_type=HDF5,
+        filename=f"{job_representation.file_stem(record)}.vtkhdf",
+    )
+
+
+@router.get(
+    "/frames/{index}",
+    operation_id="getFrame",
+    summary="Fetch one frame",
+    response_class=Response,
+    responses=array_encoding.described(
+        "Positions of all particles.", Morph_Frame=("integer", "Index of the frame.")
+    ),
+)
+def get_frame(
+    job_id: str,
+    index: int,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    format: Annotated[FrameFormat, Query(description="How to encode the positions.")] = "f32",
+) -> Response:
+    """Particle positions of a finished frame, also while the job runs. Frames count from 0; -1 is
+    the last one.
+
+    `f32`: little-endian float32, x y z of one particle after the other [grid units]. `u16`:
+    little-endian uint16 likewise; position = Morph-Offset + Morph-Scale x value. `ply`: a binary
+    PLY point cloud. `npy`: a NumPy array of shape [n, 3].
+    """  # noqa: D205
+    record = job_representation.find(job_id, caller, service)
+    frame = job_representation.find_frame(record, index, service)
+    extent = float(record.spec.config["grid"]["half_extent"])
+    return array_encoding.answer(
+        request, frame.positions, format, extent, {"Morph-Frame": str(frame.index)}
+    )
+
+
+@router.get(
+    "/metrics",
+    operation_id="getMetrics",
+    summary="Metrics of every frame",
+    response_model=list[dict[str, float]],
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
+def get_metrics(
+    job_id: str,
+    caller: Reader,
+    service: Services,
+    format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
+) -> Any:
+    """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
+    job_representation.find(job_id, caller, service)
+    log = service.storage.events(job_id)
+    media_type = "application/json" if format == "json" else "text/csv; charset=utf-8"
+    return Response(_metrics(log, log.version(), format), media_type=media_type)
+
+
+@router.get("/config", operation_id="getConfig", summary="The resolved configuration")
+def get_config(job_id: str, caller: Reader, service: Services) -> dict[str, Any]:
+    """Every setting that the job runs with."""
+    return job_representation.find(job_id, caller, service).spec.config
+
+
+@router.get(
+    "/log",
+    operation_id="getLog",
+    summary="What the engine wrote",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def get_log(job_id: str, caller: Reader, service: Services) -> Response:
+    """Warnings and errors of the processes that computed the job, as text."""
+    job_representation.find(job_id, caller, service)
+    path = service.storage.job_dir(job_id) / "log.txt"
+    if not path.is_file():
+        return Response("", media_type="text/plain; charset=utf-8")
+    return FileResponse(path, media_type="text/plain; charset=utf-8")
+
+
+@lru_cache(maxsize=TABLES_KEPT)
+def _metrics(log: EventLog, version: tuple[int, int], format: Literal["json", "csv"]) -> bytes:
+    """The table at the end of one version of a log; a frame computed again counts once."""
+    rows: dict[int, dict[str, float]] = {}
+    for event in log.read(limit=1 << 30):
+        if event.type == "frame":
+            index = int(event.data["frame"])
+            rows[index] = {
+                "frame": index,
+                **event.data["metrics"],
+                "seconds": event.data["seconds"],
+            }
+    table = [rows[index] for index in sorted(rows)]
+    if format == "json":
+        return json.dumps(table, separators=(",", ":")).encode()
+    names = list(dict.fromkeys(name for row in table for name in row)) or ["frame"]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, restval="")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue().encode()
+
+
+@lru_cache(maxsize=1000)
+def _digest(path: Path, changed_at: int, size: int) -> str:
+    """SHA-256 of a partial result, which no outcome names."""
+    return file_sha256(path)

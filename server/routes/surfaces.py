@@ -1,0 +1,122 @@
+"""/v1/jobs/{id}/frames/{index}/surface: a closed mesh around the particles of a frame."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import anyio
+from fastapi import APIRouter, Query, Request, Response
+
+from chamfer_morph.schemas import SurfaceFormat, Units
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.http.array_encoding import BINARY, PLY
+from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.problems import not_found
+from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.tasks.reconstruct_surface import KeptSurface, compute_surface
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+
+MEDIA_TYPES: dict[SurfaceFormat, str] = {
+    "glb": "model/gltf-binary", "ply": PLY, "obj": "model/obj", "stl": "model/stl",
+}  # fmt: skip
+
+HEADERS: dict[str, tuple[str, str]] = {
+    "Morph-Frame": ("integer", "Index of the frame."),
+    "Morph-Watertight": ("boolean", "Whether every edge joins two faces that agree."),
+    "Morph-Bodies": ("integer", "Parts that share no vertex; an inner cavity is one."),
+    "Morph-Largest": ("number", "Share of the largest part in the area."),
+    "Morph-Deviation-Mean": ("number", "Mean distance to the target mesh [grid units]."),
+    "Morph-Deviation-Max": ("number", "Largest distance to the target mesh [grid units]."),
+}
+
+
+@router.get(
+    "/frames/{index}/surface",
+    operation_id="getSurface",
+    summary="The surface of a frame",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {media_type: BINARY for media_type in MEDIA_TYPES.values()},
+            "headers": {
+                name: {"schema": {"type": kind}, "description": meaning}
+                for name, (kind, meaning) in HEADERS.items()
+            },
+            "description": "A triangle mesh.",
+        },
+        304: {"description": "You have it already."},
+    },
+)
+async def get_surface(
+    job_id: str,
+    index: int,
+    request: Request,
+    caller: Reader,
+    service: Services,
+    format: Annotated[SurfaceFormat, Query(description="Of the file.")] = "glb",
+    units: Annotated[
+        Units, Query(description="Grid units, or the coordinates of the target's file.")
+    ] = "grid",
+) -> Response:
+    """A closed and smooth mesh around the particles of a finished frame, also while the job runs.
+
+    It is computed when it is first asked for, which takes seconds, and kept with the job. The
+    headers tell whether it is closed and how far it lies from the target mesh.
+    """
+    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
+    frame = await anyio.to_thread.run_sync(job_representation.find_frame, record, index, service)
+    path = service.storage.surface_path(job_id, frame.index)
+    if not path.exists():
+        await anyio.to_thread.run_sync(service.limits.check_disk, record.owner)
+    finished = record.state.finished
+    compute = partial(
+        compute_surface, service.storage, job_id, frame.index, finished, service.settings
+    )
+    await service.surfaces.make(path, compute, request)
+    try:
+        etag = await anyio.to_thread.run_sync(_etag, path, format, units)
+        headers = tagged(etag)
+        if answer := unchanged(request, headers):
+            return answer
+        body, told = await anyio.to_thread.run_sync(
+            _encode, record, frame.index, format, units, service, limiter=service.computations
+        )
+    except FileNotFoundError:  # deleted meanwhile
+        raise not_found("job", job_id) from None
+    return Response(body, headers=headers | told, media_type=MEDIA_TYPES[format])
+
+
+def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
+    """The version of a surface that is there."""
+    seen = path.stat()
+    return f"{seen.st_mtime_ns:x}-{seen.st_size:x}-{format}-{units}"
+
+
+def _encode(
+    record: JobRecord, index: int, format: SurfaceFormat, units: Units, service: Service
+) -> tuple[bytes, dict[str, str]]:
+    """A surface that is there as a file, and what to tell of it."""
+    import trimesh
+
+    surface = KeptSurface.load(service.storage.surface_path(record.id, index))
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    if units == "user":
+        mesh.apply_transform(job_representation.find_inputs(record, service).transform)
+    file = io.BytesIO()
+    mesh.export(file, file_type=format, **({"include_normals": True} if format == "glb" else {}))
+    told: dict[str, Any] = {
+        "Morph-Frame": index,
+        "Morph-Watertight": str(surface.report["watertight"]).lower(),
+        "Morph-Bodies": surface.report["bodies"],
+        "Morph-Largest": round(surface.report["largest"], 6),
+    }
+    if deviation := surface.report.get("deviation"):
+        told["Morph-Deviation-Mean"] = round(deviation["mean"], 6)
+        told["Morph-Deviation-Max"] = round(deviation["max"], 6)
+    return file.getvalue(), {name: str(value) for name, value in told.items()}

@@ -1,0 +1,182 @@
+"""/v1/sweeps: every combination of sources, targets, methods and seeds, and one table of it all."""
+
+from __future__ import annotations
+
+import csv
+import io
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import anyio
+from fastapi import APIRouter, Query, Request, Response
+
+from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
+from chamfer_morph.server import job_representation
+from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.sweeps import SweepRow as StoredSweep
+from chamfer_morph.server.database.tables import as_time
+from chamfer_morph.server.http.json_body import read_json
+from chamfer_morph.server.http.problems import ProblemError, not_found
+from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
+from chamfer_morph.server.submission import body_digest, key_reused, prepare, repeated_id, submit
+from chamfer_morph.worker.progress import read_progress
+from chamfer_morph.worker.queue import JobRecord, new_job_id
+
+router = APIRouter(prefix="/sweeps", tags=["sweeps"])
+
+JOBS = 1000
+"""Most jobs of a sweep."""
+
+BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "application/json": {
+                "schema": {"$ref": "#/components/schemas/SweepRequest"},
+                "examples": {
+                    "methods": {
+                        "summary": "Two methods on two targets",
+                        "value": {
+                            "sources": [{"shape": "sphere"}],
+                            "targets": [{"shape": "star"}, {"shape": "torus"}],
+                            "methods": ["joint", "physics"],
+                            "frames": 12,
+                        },
+                    }
+                },
+            }
+        },
+    }
+}
+
+
+@router.post(
+    "",
+    status_code=202,
+    operation_id="submitSweep",
+    summary="Submit a sweep",
+    openapi_extra=BODY,
+    responses={
+        200: {"model": Sweep, "description": "This Idempotency-Key has made this sweep before."}
+    },
+)
+async def submit_sweep(
+    request: Request,
+    response: Response,
+    caller: Submitter,
+    service: Services,
+    idempotency_key: IdempotencyKey = None,
+) -> Sweep:
+    """Queue sources x targets x methods x seeds, at most 1000 jobs, all of them or none.
+
+    If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
+    """
+    wanted = await read_json(request, SweepRequest, service.settings)
+    sweep, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, service)
+    response.status_code = 202 if new else 200
+    response.headers["Location"] = f"/v1/sweeps/{sweep.id}"
+    response.headers["Retry-After"] = RETRY_AFTER
+    return sweep
+
+
+@router.get(
+    "/{sweep_id}",
+    operation_id="getSweep",
+    summary="Show a sweep",
+    response_model=Sweep,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
+def get_sweep(
+    sweep_id: str,
+    caller: Reader,
+    service: Services,
+    format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
+) -> Any:
+    """The jobs of a sweep in one table, with the metrics of the last finished frame of each."""
+    stored = service.sweeps.get(sweep_id) if job_representation.is_id(sweep_id) else None
+    if stored is None or not caller.sees(stored.owner):
+        raise not_found("sweep", sweep_id)
+    sweep = _show(stored, service)
+    if format == "csv":
+        return Response(_table(sweep), media_type="text/csv; charset=utf-8")
+    return sweep
+
+
+def _submit(
+    wanted: SweepRequest, key: str | None, caller: Caller, service: Service
+) -> tuple[Sweep, bool]:
+    combinations = list(product(wanted.sources, wanted.targets, wanted.methods, wanted.seeds))
+    if len(combinations) > JOBS:
+        raise ProblemError(
+            422, f"This makes {len(combinations)} jobs, more than {JOBS}.", "Split the sweep."
+        )
+    body = body_digest(wanted.model_dump(mode="json"))
+    sweep_id = repeated_id("sweep", caller, key) if key else new_job_id()
+    before = service.sweeps.get(sweep_id)
+    if before is not None and before.body != body:
+        raise key_reused()
+    common = wanted.model_dump(
+        include={"preset", "overrides", "frames", "name", "device", "priority", "timeout_seconds"}
+    )
+    submissions = [
+        prepare(
+            JobRequest(source=source, target=target, method=method, seed=seed, **common),
+            caller,
+            service,
+        )
+        for source, target, method, seed in combinations
+    ]
+    if before is None:
+        service.limits.check_jobs(caller.name, len(submissions))
+    stored = service.sweeps.add(sweep_id, caller.name, wanted.name, body)
+    for index, submission in enumerate(submissions):
+        job_id = repeated_id(f"job {index}", caller, sweep_id)
+        submit(submission, job_id=job_id, caller=caller, service=service, sweep=sweep_id)
+    return _show(stored, service), before is None
+
+
+def _show(stored: StoredSweep, service: Service) -> Sweep:
+    records = service.queue.newest(sweep=stored.id, limit=JOBS)
+    counts = dict.fromkeys(JobState, 0)
+    for record in records:
+        counts[record.state] += 1
+    return Sweep(
+        id=stored.id,
+        name=stored.name,
+        created_at=as_time(stored.created_at),
+        counts=counts,
+        rows=sorted((_row(record, service) for record in records), key=_order),
+    )
+
+
+def _row(record: JobRecord, service: Service) -> SweepRow:
+    if record.outcome is not None:
+        metrics = record.outcome.metrics
+    else:
+        metrics = read_progress(service.storage, record.id, record.spec).metrics
+    return SweepRow(
+        job=record.id,
+        source=str(record.attributes.get("source_name", "")),
+        target=str(record.attributes.get("target_name", "")),
+        method=record.spec.config["method"],
+        seed=record.spec.config["seed"],
+        state=record.state,
+        metrics=metrics,
+    )
+
+
+def _order(row: SweepRow) -> tuple[str, str, str, int]:
+    return row.source, row.target, row.method, row.seed
+
+
+def _table(sweep: Sweep) -> str:
+    names = list(dict.fromkeys(name for row in sweep.rows for name in row.metrics))
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["job", "source", "target", "method", "seed", "state", *names])
+    for row in sweep.rows:
+        plain = [row.job, row.source, row.target, row.method, row.seed, row.state.value]
+        writer.writerow([*plain, *(row.metrics.get(name, "") for name in names)])
+    return text.getvalue()

@@ -1,0 +1,166 @@
+"""The engine process of one attempt at a job, with the arguments JOB_DIR ATTEMPT THREADS.
+
+It writes frames, checkpoint, events and result, and tells its worker about them in JSON lines on
+standard output. It computes only while it holds the lock of the job directory, and only as long as
+its worker lives: the worker sends a byte a second on standard input. At the end of the input, or
+after six silent seconds, the process ends at once; on STOP it makes a result of the finished frames
+first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker.heartbeat import STOP
+from chamfer_morph.worker.job import JobSpec, problem_of
+from chamfer_morph.worker.niceness import yield_to_others
+from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.tasks.partial_result import LOCK_SECONDS, keep_frames
+from morph_engine.config import MorphConfig
+from morph_engine.digest import file_sha256
+from morph_engine.errors import MorphError, ResultError
+from morph_engine.files import wait_for
+from morph_engine.morphing import Frame, prepare, run
+from morph_engine.peak_memory import peak_memory
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import Trajectory
+
+SILENCE_SECONDS = 6.0
+ORPHANED, STOPPED = 75, 76
+
+
+def main(job_dir: Path, attempt: int, threads: int) -> None:
+    """Compute a job, or go on with it, and say how it went."""
+    yield_to_others()
+    threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
+    storage = Storage(job_dir.parent.parent)
+    lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
+    try:
+        spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
+        outcome = _compute(storage, job_dir.name, spec, attempt, threads)
+        _say("done", outcome.model_dump())
+    except MorphError as error:
+        _say("failed", problem_of(error).model_dump())
+    except MemoryError:
+        problem = Problem(
+            cause="The engine ran out of memory.",
+            remedy="Lower the points per cell edge, or run fewer jobs at a time.",
+            kind="resources",
+        )
+        _say("failed", problem.model_dump())
+    finally:
+        lock.close()
+
+
+def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads: int) -> Outcome:
+    out, log = storage.result_path(job_id), storage.events(job_id)
+    record = _unfinished(out)
+    resume = record is not None
+    if record is None and _is_complete(out):
+        return _outcome(out)
+    if record is None:
+        config = MorphConfig.model_validate(spec.config)
+        record = prepare(storage.resolve(spec.source), storage.resolve(spec.target), config)
+    frames = int(record.config["frames"])
+    resumed = _checkpointed(out) if resume else 0
+    told = {event.data["frame"] for event in log.read(limit=10**9) if event.type == "frame"}
+    log.append("attempt", {"attempt": attempt, "resumed_frames": resumed})
+    _say("started", {"resumed_frames": resumed})
+    for frame in run(
+        record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True
+    ):
+        if frame.index >= resumed or frame.index not in told:
+            for event in frame.events:
+                log.append("watchdog", dict(event.document()))
+            log.append("frame", _frame(frame, frames, attempt))
+            _say("frame", {"frame": frame.index})
+    return _outcome(out)
+
+
+def _unfinished(out: Path) -> RunRecord | None:
+    """What the run directory beside a result holds, if an attempt can go on from it.
+
+    The record is the stored one, so that a newer program goes on with what an older one began.
+    """
+    try:
+        with Spool.open(out, writable=False) as spool:
+            spool.load_checkpoint()
+            for frame in range(spool.frame_count):
+                spool.positions(frame)
+            return spool.run
+    except ResultError:
+        return None
+
+
+def _checkpointed(out: Path) -> int:
+    """Number of frames that need not be computed again."""
+    with Spool.open(out, writable=False) as spool:
+        checkpoint = spool.load_checkpoint()
+        return checkpoint.frame + 1 if checkpoint else 0
+
+
+def _is_complete(out: Path) -> bool:
+    try:
+        with Trajectory(out) as result:
+            return result.status == "complete"
+    except (MorphError, OSError):
+        return False
+
+
+def _outcome(out: Path) -> Outcome:
+    with Trajectory(out) as result:
+        frames = len(result)
+        metrics = result.metrics_at(frames - 1)
+        particles, targets = result.positions(0), result.target_points
+    return Outcome(
+        sha256=file_sha256(out),
+        size_bytes=out.stat().st_size,
+        frames=frames,
+        metrics={name: value for name, value in metrics.items() if abs(value) < float("inf")},
+        particle_count=len(particles),
+        target_count=len(targets),
+        cpu_seconds=time.process_time(),
+        peak_memory_mb=peak_memory() / 1e6,
+    )
+
+
+def _frame(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:
+    return {
+        "frame": frame.index,
+        "frames": frames,
+        "attempt": attempt,
+        "metrics": frame.metrics,
+        "seconds": frame.seconds,
+    }
+
+
+def _watch_worker(out: Path) -> None:
+    """End this process when its worker asks for it, dies or falls silent."""
+    while True:
+        ready, _, _ = select.select([0], [], [], SILENCE_SECONDS)
+        received = os.read(0, 64) if ready else b""
+        if STOP in received:
+            with contextlib.suppress(MorphError, OSError):  # the frames stay where they are
+                keep_frames(out)
+            os._exit(STOPPED)
+        if not received:
+            os._exit(ORPHANED)
+
+
+def _say(type: str, data: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps({"type": type, "data": data}) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -1,0 +1,108 @@
+"""A worker is alive as long as it holds the lock named after it.
+
+On SQLite the lock is a file lock, which the system frees when the process dies, however it dies. On
+Postgres it is an advisory lock on a connection of its own, which the server closes when the worker
+falls silent. Whoever gets the lock of a worker that still has jobs knows that the worker is gone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from typing import BinaryIO, Protocol
+
+import psycopg
+import sqlalchemy as sa
+
+from chamfer_morph.worker.settings import Settings
+from morph_engine.files import acquire
+
+SILENCE_SECONDS = 15
+WAIT_SECONDS = 0.2
+
+
+class Lock(Protocol):
+    """A lock that is held."""
+
+    def held(self) -> bool:
+        """Whether it still is; asking keeps it alive."""
+        ...
+
+    def release(self) -> None:
+        """Give it back."""
+        ...
+
+
+def try_lock(settings: Settings, executor: str) -> Lock | None:
+    """The lock of a worker slot, or None while somebody holds it.
+
+    Raises:
+        psycopg.OperationalError: Postgres does not answer.
+    """
+    if settings.on_postgres:
+        return AdvisoryLock.take(settings.system_database_url, executor)
+    file = acquire(settings.data_dir / "locks" / executor)
+    return FileLock(file) if file else None
+
+
+def wait_for_lock(settings: Settings, executor: str, seconds: float) -> Lock | None:
+    """The lock of a worker slot, or None where somebody holds it for longer than this [s].
+
+    Raises:
+        psycopg.OperationalError: Postgres does not answer.
+    """
+    deadline = time.monotonic() + seconds
+    while (lock := try_lock(settings, executor)) is None and time.monotonic() < deadline:
+        time.sleep(WAIT_SECONDS)
+    return lock
+
+
+class FileLock:
+    """A lock on an open file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def held(self) -> bool:
+        """True: the system takes it from no living process."""
+        return True
+
+    def release(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class AdvisoryLock:
+    """A session-level advisory lock; needs a direct connection, no transaction pooler."""
+
+    def __init__(self, connection: psycopg.Connection) -> None:
+        self._connection = connection
+
+    @classmethod
+    def take(cls, url: str, executor: str) -> AdvisoryLock | None:
+        """Connect and lock, or None if another session holds it."""
+        plain = sa.make_url(url).set(drivername="postgresql")
+        connection = psycopg.connect(
+            plain.render_as_string(hide_password=False), autocommit=True, connect_timeout=5,
+            keepalives_idle=5, keepalives_interval=2, keepalives_count=3,
+        )  # fmt: skip
+        digest = hashlib.sha256(f"morph worker {executor}".encode()).digest()
+        number = int.from_bytes(digest[:8], "big", signed=True)
+        connection.execute(f"set idle_session_timeout = '{SILENCE_SECONDS}s'")
+        row = connection.execute("select pg_try_advisory_lock(%s)", (number,)).fetchone()
+        if not row or not row[0]:
+            connection.close()
+            return None
+        return cls(connection)
+
+    def held(self) -> bool:
+        """Whether the session still lives."""
+        try:
+            self._connection.execute("select 1")
+        except psycopg.Error:
+            return False
+        return True
+
+    def release(self) -> None:
+        """Close the session."""
+        self._connection.close()

@@ -1,0 +1,1 @@
+"""What is computed in a process of its own, with little memory and time."""
