@@ -31,11 +31,11 @@ import psutil
 from morph_engine.results.trajectory import Trajectory
 
 KINDS = {
-    "worker": ["worker", "run"],
-    "engine": ["worker.child"],
-    "API": ["server", "api"],
-    "janitor": ["worker", "janitor"],
-    "supervisor": ["server", "serve"],
+    "worker": ["chamfer_morph.worker", "run"],
+    "engine": ["chamfer_morph.worker.engine_process"],
+    "API": ["chamfer_morph.server", "api"],
+    "janitor": ["chamfer_morph.worker", "janitor"],
+    "supervisor": ["chamfer_morph.server", "serve"],
 }
 PATIENCE_SECONDS = 1800.0
 

@@ -14,7 +14,7 @@ from chamfer_morph.schemas.types import Device, Name, Request, Seed, Sha256
 
 
 class JobState(str, Enum):
-    """Where a job stands; `chamfer_morph.worker.job_state` has the transitions."""
+    """Where a job stands."""
 
     QUEUED = "queued"
     RUNNING = "running"

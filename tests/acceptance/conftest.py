@@ -122,7 +122,7 @@ class Cluster:
         def is_there() -> bool:
             for child in psutil.Process(worker.pid).children():
                 with suppress(psutil.Error):  # it has ended
-                    if "worker.child" in child.cmdline():
+                    if "chamfer_morph.worker.engine_process" in child.cmdline():
                         found.append(child)
             return bool(found)
 

@@ -135,7 +135,7 @@ def test_poison(cluster):
     deadline = time.monotonic() + 60
     while not cluster.job(job).state.finished and time.monotonic() < deadline:
         for child in psutil.Process(worker.pid).children():
-            if "worker.child" in child.cmdline():
+            if "chamfer_morph.worker.engine_process" in child.cmdline():
                 child.kill()
         time.sleep(0.05)
     record = cluster.job(job)

@@ -151,7 +151,7 @@ def test_a_video_is_there_as_a_whole_or_not_at_all(small_result, tmp_path, monke
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("morph_engine.rendering.write_video", full)
+    monkeypatch.setattr("morph_engine.rendering.pictures.write_video", full)
     with pytest.raises(ResultError, match="No space left"):
         video(small_result, path, size=SMALL)
     assert path.read_bytes() == b"the older one"

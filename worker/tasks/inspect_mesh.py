@@ -32,7 +32,7 @@ def inspect_file(path: Path, name: str, settings: Settings) -> dict[str, Any]:
         MeshError: The file is no mesh, cannot be filled with particles, or breaks the reader.
         ResourceError: It takes too much memory or time to read.
     """
-    answer = json.loads(read_mesh("worker.inspection", [str(path), name], name, settings))
+    answer = json.loads(read_mesh(__name__, [str(path), name], name, settings))
     if "report" in answer:
         report: dict[str, Any] = answer["report"]
         return report

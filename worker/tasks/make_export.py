@@ -140,7 +140,7 @@ def make_export(
     try:
         storage.make_derived_dirs(job_id)
         with sandbox.explaining("The export", "compute", limits, LESS):
-            sandbox.run("worker.exporting", arguments, limits, hear=hear, meet=meet)
+            sandbox.run(__name__, arguments, limits, hear=hear, meet=meet)
     except MorphError as error:
         problems.append(problem_of(error))
     if problems:

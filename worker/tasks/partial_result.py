@@ -44,7 +44,12 @@ def keep_result(storage: Storage, job_id: str, settings: Settings) -> None:
     """
     if not has_unkept_frames(storage.result_path(job_id)):
         return
-    make_file("worker.keeping", [str(storage.job_dir(job_id))], RESULT, settings)
+    make_file(
+        __name__,
+        [str(storage.job_dir(job_id))],
+        RESULT,
+        settings,
+    )
 
 
 def _main() -> None:

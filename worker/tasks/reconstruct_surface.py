@@ -82,7 +82,12 @@ def compute_surface(
     storage.make_derived_dirs(job_id)
     arguments = [str(result), str(index), str(int(finished)), str(path)]
     make_file(
-        "worker.surfacing", arguments, SURFACE, settings, threads=sandbox.MOST_THREADS, meet=meet
+        __name__,
+        arguments,
+        SURFACE,
+        settings,
+        threads=sandbox.MOST_THREADS,
+        meet=meet,
     )
 
 

@@ -55,7 +55,7 @@ def sample_shape(
         raise MeshError("There is no shape with a NUL in its name.", "GET /v1/shapes lists them.")
     kind = "file" if isinstance(shape, Path) else "shape"
     arguments = [kind, str(shape), name, str(points_per_cell_edge), fit]
-    head, _, body = read_mesh("worker.preview", arguments, name, settings).partition(b"\n")
+    head, _, body = read_mesh(__name__, arguments, name, settings).partition(b"\n")
     answer = json.loads(head)
     if "error" in answer:
         raise MeshError(answer["error"]["cause"], answer["error"]["remedy"])

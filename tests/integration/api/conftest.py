@@ -14,9 +14,9 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from server.service import Service
 
 from chamfer_morph.server.api_server import ApiServer
+from chamfer_morph.server.context import Service
 from chamfer_morph.server.listener import address, listen
 from chamfer_morph.worker.settings import Settings
 from morph_engine import configure

@@ -68,7 +68,7 @@ def test_the_surface_of_a_frame(api: Api, run: RunRecord, monkeypatch: pytest.Mo
         assert mesh.is_watertight
         assert mesh.volume == pytest.approx(1394, rel=0.03)  # that of the sphere
         np.testing.assert_allclose(mesh.bounds.mean(axis=0), [1, 0, 0], atol=0.1)
-    assert started == ["worker.surfacing"]
+    assert started == ["chamfer_morph.worker.tasks.reconstruct_surface"]
     known = {"If-None-Match": headers["ETag"]}
     assert api.http.get(path, headers=known).status_code == 304
     assert api.http.get(path.replace("/0/", "/2/")).status_code == 404
@@ -200,7 +200,7 @@ def surfacing() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
             with suppress(psutil.Error):
-                if "worker.surfacing" in child.cmdline():
+                if "chamfer_morph.worker.tasks.reconstruct_surface" in child.cmdline():
                     child.suspend()
                     return child
         time.sleep(0.01)

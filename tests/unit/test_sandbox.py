@@ -15,16 +15,16 @@ from chamfer_morph.worker.sandbox import Limits
 
 CHILD = """
 import sys
-from worker import limited
-limited.enter()
+from chamfer_morph.worker import sandbox
+sandbox.enter()
 try:
     exec(sys.argv[1])
 except MemoryError:
-    sys.exit(limited.OUT_OF_MEMORY)
+    sys.exit(sandbox.OUT_OF_MEMORY)
 """
 PARENT = """
-from worker import limited
-limited.run("child", ["while True: pass"], limited.Limits(1 << 28, 60),
+from chamfer_morph.worker import sandbox
+sandbox.run("child", ["while True: pass"], sandbox.Limits(1 << 28, 60),
             meet=lambda process: print(process.pid, flush=True))
 """
 
