@@ -1,25 +1,35 @@
-"""What is typed on the command line, as what it stands for."""
+"""Parsing of options: settings, frames, sizes, output files."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from morph_engine.errors import ConfigError, ResultError
 
 
-def parse_overrides(settings: list[str]) -> dict[str, str]:
-    """Split `path=value` as typed after --set.
+def parse_overrides(
+    settings: list[str] | None,
+    *,
+    points_per_cell_edge: int | None,
+    fit: str | None,
+    **options: object,
+) -> dict[str, Any]:
+    """Settings by dotted path: those of options of their own, and `path=value` as after --set.
 
     Raises:
         ConfigError: One has no equals sign.
     """
-    for setting in settings:
+    for setting in settings or ():
         if "=" not in setting:
             raise ConfigError(
                 f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
             )
-    return dict(setting.split("=", 1) for setting in settings)
+    options["sampling.points_per_cell_edge"] = points_per_cell_edge
+    options["sampling.fit"] = fit
+    chosen = {path: value for path, value in options.items() if value is not None}
+    return chosen | dict(setting.split("=", 1) for setting in settings or ())
 
 
 def parse_frames(text: str | None) -> list[int] | None:
@@ -54,7 +64,24 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def check_place(out: Path, *, force: bool, folder: bool = False) -> None:
+def parse_list(text: str) -> list[str]:
+    """The items of a list as typed: a,b,c."""
+    return [item for part in text.split(",") if (item := part.strip())]
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds as typed: 1,2,3.
+
+    Raises:
+        ConfigError: They are no numbers.
+    """
+    try:
+        return [int(item) for item in parse_list(text)]
+    except ValueError:
+        raise ConfigError(f"--seeds {text} are no numbers.", "Write them as in 1,2,3.") from None
+
+
+def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
     """Refuse to write where something is already, or where there is no folder.
 
     Args:
@@ -76,11 +103,11 @@ def check_place(out: Path, *, force: bool, folder: bool = False) -> None:
         )
 
 
-def default_out(source: str, target: str, *, partial: bool = False) -> Path:
+def default_output(source: str, target: str, *, partial: bool = False) -> Path:
     """The result file of a run that names none: sphere-to-bunny.vtkhdf, where one stands."""
     ending = "-partial" if partial else ""
-    return Path(f"{_plain(source)}-to-{_plain(target)}{ending}.vtkhdf")
+    return Path(f"{_file_stem(source)}-to-{_file_stem(target)}{ending}.vtkhdf")
 
 
-def _plain(shape: str) -> str:
+def _file_stem(shape: str) -> str:
     return re.sub(r"\W+", "-", Path(shape).stem).strip("-") or "shape"

@@ -15,6 +15,7 @@ from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError
 
 UNEXPECTED, BAD_INPUT = 1, 2
+JOB_FAILED = 1
 
 
 def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool) -> int:
@@ -36,7 +37,7 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
     except MorphError as error:
         problem, status = error, BAD_INPUT
     except typer.TyperException as error:
-        problem, status = _usage(error), BAD_INPUT
+        problem, status = _usage_error(error), BAD_INPUT
     except BrokenPipeError:
         # whoever read our output has enough; keep the interpreter's last flush quiet
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -50,7 +51,7 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
     except Exception as error:
         if debug:
             raise
-        problem, status = _fault(error), UNEXPECTED
+        problem, status = _program_fault(error), UNEXPECTED
     if as_json:
         print_json(error_document(problem))
     sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
@@ -63,7 +64,7 @@ def error_document(error: MorphError) -> dict[str, dict[str, str]]:
 
 
 def print_json(document: object) -> None:
-    """Write one JSON object to standard output; non-finite numbers become null."""
+    """Write one JSON object to standard output; models are dumped, inf and nan become null."""
     text = json.dumps(_finite(document), indent=2)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
@@ -74,18 +75,20 @@ def _finite(value: object) -> object:
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
+    if hasattr(value, "model_dump"):
+        return _finite(value.model_dump(mode="json"))
     if isinstance(value, float) and not abs(value) < float("inf"):
         return None
     return value
 
 
-def _usage(error: typer.TyperException) -> MorphError:
+def _usage_error(error: typer.TyperException) -> MorphError:
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "morph"
     return MorphError(f"{error.format_message().rstrip('.')}.", f"See {command} --help.")
 
 
-def _fault(error: Exception) -> MorphError:
+def _program_fault(error: Exception) -> MorphError:
     frame = error.__traceback__
     while frame and frame.tb_next:
         frame = frame.tb_next

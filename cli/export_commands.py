@@ -13,9 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from chamfer_morph.cli.connection import KeyOption, ServerOption, connect
 from chamfer_morph.cli.exit_status import print_json
 from chamfer_morph.cli.interrupt import removing
+from chamfer_morph.cli.options import (
+    ForceOption,
+    FramesOption,
+    JsonOption,
+    KeyOption,
+    QuietOption,
+    ServerOption,
+    connect,
+)
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,20 +32,14 @@ if TYPE_CHECKING:
 PANEL = "Results"
 JOB_ID = re.compile(r"[0-9a-z]{26}")
 
-app = typer.Typer(rich_markup_mode=None)
+app = typer.Typer()
 
 ResultArgument = Annotated[
     str, typer.Argument(metavar="RESULT", help="A result file, or the id of a job of the service.")
 ]
-FramesOption = Annotated[
-    str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
-]
 SurfaceOption = Annotated[
     bool, typer.Option("--surface", help="A surface around the particles in their place.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 @app.command(rich_help_panel=PANEL)
@@ -65,20 +67,20 @@ def export(
     server: ServerOption = None,
     key: KeyOption = None,
     quiet: QuietOption = False,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write frames of a result for other programs; docs/exports.md has the formats."""
-    from chamfer_morph.cli.arguments import check_place, parse_frames
+    from chamfer_morph.cli.arguments import check_output, parse_frames, parse_list
     from morph_engine import export as exports
 
-    name = format or _format_of(out, exports.FORMATS)
-    chosen = [field.strip() for field in fields.split(",") if field.strip()]
+    name = format or _format_by_suffix(out, exports.FORMATS)
+    chosen = parse_list(fields)
     exports.check(name, surface=surface, fields=chosen)
     wanted = parse_frames(frames)
-    check_place(out, force=force, folder=True)
+    check_output(out, force=force, folder=True)
     with (
-        _local(result, server, key) as path,
-        _unfinished(out),
+        _local_file(result, server, key) as path,
+        _removing_unfinished(out),
         _progress(quiet=quiet or as_json) as watch,
     ):
         exports.export(
@@ -91,14 +93,14 @@ def export(
             fields=chosen,
             watch=watch,
         )
-    _say(out, as_json=as_json, format=name)
+    _report(out, as_json=as_json, format=name)
 
 
 @app.command(rich_help_panel=PANEL)
 def render(
     result: ResultArgument,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="The video; .mp4 (pip install .[video]) or .gif.")
+        Path, typer.Option("--out", "-o", help="The video; .mp4 (pip install .\\[video]) or .gif.")
     ],
     color: Annotated[
         str | None,
@@ -116,17 +118,17 @@ def render(
     server: ServerOption = None,
     key: KeyOption = None,
     quiet: QuietOption = False,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Make a video of a result."""
-    from chamfer_morph.cli.arguments import check_place, parse_frames, parse_size
+    from chamfer_morph.cli.arguments import check_output, parse_frames, parse_size
     from morph_engine.rendering.pictures import video
 
     pixels, wanted = parse_size(size), parse_frames(frames)
-    check_place(out, force=force, folder=True)
+    check_output(out, force=force, folder=True)
     with (
-        _local(result, server, key) as path,
-        _unfinished(out),
+        _local_file(result, server, key) as path,
+        _removing_unfinished(out),
         _progress(quiet=quiet or as_json) as watch,
     ):
         video(
@@ -141,10 +143,10 @@ def render(
             up=up,
             watch=watch,
         )
-    _say(out, as_json=as_json)
+    _report(out, as_json=as_json)
 
 
-def _format_of(out: Path, formats: dict[str, exports.Format]) -> str:
+def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
     for name, known in formats.items():
         if out.suffix.lower() == known.suffix:
             return name
@@ -154,7 +156,7 @@ def _format_of(out: Path, formats: dict[str, exports.Format]) -> str:
 
 
 @contextmanager
-def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
+def _local_file(result: str, server: str | None, key: str | None) -> Iterator[Path]:
     """The result file, fetched from the service where a job is named."""
     path = Path(result)
     if path.exists() or not JOB_ID.fullmatch(result):
@@ -170,7 +172,7 @@ def _local(result: str, server: str | None, key: str | None) -> Iterator[Path]:
         yield fetched
 
 
-def _unfinished(out: Path) -> AbstractContextManager[None]:
+def _removing_unfinished(out: Path) -> AbstractContextManager[None]:
     """Within, Ctrl-C leaves nothing of what is being written."""
     return removing(out.absolute().parent, f"{escape(out.name)}.tmp*")
 
@@ -179,14 +181,14 @@ def _unfinished(out: Path) -> AbstractContextManager[None]:
 def _progress(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress
 
-    from chamfer_morph.cli.progress_display import Live
+    from chamfer_morph.cli.progress_display import ProgressDisplay
 
-    with Live(*Progress.get_default_columns(), quiet=quiet) as display:
-        yield display.share("frames")
+    with ProgressDisplay(*Progress.get_default_columns(), quiet=quiet) as display:
+        yield display.add_bar("frames")
 
 
-def _say(out: Path, *, as_json: bool, **more: str) -> None:
-    from chamfer_morph.cli.display import size
+def _report(out: Path, *, as_json: bool, **more: str) -> None:
+    from chamfer_morph.cli.tables import size
 
     files = [out] if out.is_file() else sorted(out.iterdir())
     byte_count = sum(file.stat().st_size for file in files)

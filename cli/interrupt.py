@@ -24,11 +24,11 @@ Action = Callable[[], None]
 _SHOW_CURSOR = "\x1b[?25h"
 
 
-def _say_stopped() -> None:
-    say("Stopped by Ctrl-C.", "Run the command again.")
+def _report_stopped() -> None:
+    report("Stopped by Ctrl-C.", "Run the command again.")
 
 
-_action: Action = _say_stopped
+_action: Action = _report_stopped
 
 
 def install() -> None:
@@ -70,7 +70,7 @@ def ignore() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def say(*lines: str) -> None:
+def report(*lines: str) -> None:
     """Write lines to standard error, whatever the interrupted code was writing there."""
     cursor = _SHOW_CURSOR + "\r\n" if sys.stderr.isatty() else ""
     os.write(2, (cursor + "".join(f"{line}\n" for line in lines)).encode())
@@ -81,6 +81,6 @@ def _stop(number: int, frame: FrameType | None) -> None:
     try:
         _action()
     except Exception as error:
-        say("Stopped by Ctrl-C.", str(error))
+        report("Stopped by Ctrl-C.", str(error))
     finally:
         os._exit(INTERRUPTED)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from datetime import datetime
 
-from chamfer_morph.cli.display import HEADLINE, clock, losses, print_metrics, print_table, size
+from chamfer_morph.cli.tables import HEADLINE, clock, losses, print_metrics, print_table, size
 from chamfer_morph.schemas import Job, Sweep
 
 
@@ -63,7 +63,7 @@ def print_job(job: Job) -> None:
     print_table(("job", job.id), [row for row in rows if row[1]])
 
 
-def print_end(job: Job) -> None:
+def print_outcome(job: Job) -> None:
     """What a finished job has come to: headline metrics and its cost, or why it failed."""
     if job.outcome is None:
         sys.stdout.write(f"{job.id} {_state(job)}\n")

@@ -13,8 +13,8 @@ import numpy as np
 import psutil
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.display import RunDisplay
 from chamfer_morph.cli.interrupt import at_interrupt
+from chamfer_morph.cli.progress_display import RunDisplay
 from morph_engine import morphing
 from morph_engine.backend import Device
 from morph_engine.errors import ResultError

@@ -1,21 +1,27 @@
-"""What changes while it lasts: a progress display on standard error."""
+"""Progress on standard error: live on a terminal, a line each elsewhere."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.text import Text
 
-Self = TypeVar("Self", bound="Live")
+from chamfer_morph.cli.tables import clock, losses
+
+if TYPE_CHECKING:
+    from morph_engine.morphing import Frame
+
+Self = TypeVar("Self", bound="ProgressDisplay")
 
 
-class Live:
-    """A live display on a terminal; elsewhere only what is said with `note`.
+class ProgressDisplay:
+    """A live display on a terminal; elsewhere only the lines of `print`.
 
     Args:
         columns: What a line of the display is made of.
@@ -43,11 +49,67 @@ class Live:
     ) -> None:
         self._progress.stop()
 
-    def note(self, text: str) -> None:
-        """Say something that stays."""
+    def print(self, text: str) -> None:
+        """Print a line that stays."""
         self._console.print(Text(text))
 
-    def share(self, what: str) -> Callable[[int, int], None]:
+    def add_bar(self, label: str) -> Callable[[int, int], None]:
         """A line that shows how much is done; returns what to call with that and the total."""
-        task = self._progress.add_task(what, total=None)
+        task = self._progress.add_task(label, total=None)
         return lambda done, total: self._progress.update(task, completed=done, total=total)
+
+
+class RunDisplay(ProgressDisplay):
+    """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
+
+    On a terminal it is one live line; elsewhere each frame is a line of its own.
+
+    Args:
+        frame_count: Frames of the whole run.
+        quiet: Show nothing.
+    """
+
+    def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
+        super().__init__(
+            TextColumn("{task.completed}/{task.total}"),
+            BarColumn(),
+            TextColumn("{task.description}"),
+            quiet=quiet,
+        )
+        self._frame_count = frame_count
+        self._recent: deque[float] = deque(maxlen=5)
+        self._task = self._progress.add_task("preparing", total=frame_count)
+
+    def show(self, frame: Frame) -> None:
+        """Show a finished frame."""
+        for event in frame.events:
+            self.print(event.message)
+        self.advance(frame.index, frame.metrics, frame.seconds)
+
+    def describe(self, text: str, *, done: int | None = None) -> None:
+        """Show what goes on, on a terminal only.
+
+        Args:
+            text: What goes on.
+            done: How much of the whole is finished, if that has changed.
+        """
+        self._progress.update(self._task, description=text, completed=done)
+
+    def advance(self, index: int, metrics: Mapping[str, float], seconds: float) -> None:
+        """Show that a frame is finished.
+
+        Args:
+            index: 0-based frame index.
+            metrics: Its metrics.
+            seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
+        """
+        done = index + 1
+        text = losses(metrics)
+        if seconds:
+            self._recent.append(seconds)
+            left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
+            text += f"  left {clock(left)}"
+        if self._progress.disable:
+            self._console.print(f"frame {index}  {done}/{self._frame_count}  {text}")
+        else:
+            self._progress.update(self._task, completed=done, description=text)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.connection import KeyOption, connect
-from chamfer_morph.cli.exit_status import print_json
+from chamfer_morph.cli.exit_status import JOB_FAILED, print_json
+from chamfer_morph.cli.options import JsonOption, KeyOption, QuietOption, connect
 
 if TYPE_CHECKING:
     from chamfer_morph.reproduction.catalog import Subject
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from chamfer_morph.reproduction.store import Record, Store
 
 app = typer.Typer()
-
-RUN_FAILED = 1
 
 
 @app.command()
@@ -45,10 +43,8 @@ def reproduce(
         str | None, typer.Option(help="Have the service at this address compute the runs.")
     ] = None,
     key: KeyOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object and nothing else.")
-    ] = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Reproduce tables and figures of the paper, each number beside the printed one.
 
@@ -60,7 +56,7 @@ def reproduce(
     from chamfer_morph.reproduction.store import Store
 
     if not tables:
-        return _list(as_json=as_json)
+        return _print_list(as_json=as_json)
     subjects = choose(tables, quick=quick)
     folder, store = MeshFolder(meshes), Store(results)
     folder.check(name for run in runs_of(subjects) for name in run.shapes)
@@ -84,7 +80,7 @@ def reproduce(
     for record in failed:
         sys.stderr.write(f"{record.run.id} failed: {record.problem}\n")
     if failed:
-        raise typer.Exit(RUN_FAILED)
+        raise typer.Exit(JOB_FAILED)
 
 
 def _compute(
@@ -98,7 +94,7 @@ def _compute(
     quiet: bool,
 ) -> dict[str, Record]:
     """Compute what is missing, here or by a service; the records of all runs."""
-    from chamfer_morph.cli.reproduce_display import ReproductionDisplay, say_plan
+    from chamfer_morph.cli.reproduce_display import ReproductionDisplay, print_plan
     from chamfer_morph.reproduction.catalog import runs_of
     from chamfer_morph.reproduction.execution import execute, known_records, usual_jobs
 
@@ -107,9 +103,9 @@ def _compute(
     known = known_records(runs, store, {run.id: run.digest(meshes) for run in runs})
     missing = [run for run in runs if run.id not in known]
     if not quiet:
-        say_plan(missing, known=len(known), jobs=at_once, server=server)
+        print_plan(missing, known=len(known), jobs=at_once, server=server)
     with (
-        interrupt.at_interrupt(lambda: _say_left(server)),
+        interrupt.at_interrupt(lambda: _report_interrupted(server)),
         ReproductionDisplay(jobs=at_once, quiet=quiet) as display,
     ):
         if server is None:
@@ -120,14 +116,14 @@ def _compute(
             return execute_remotely(client, runs, store, meshes, watch=display.show)
 
 
-def _say_left(server: str | None) -> None:
+def _report_interrupted(server: str | None) -> None:
     what = "the jobs of the service go on" if server else "finished frames are kept"
-    interrupt.say(f"Stopped by Ctrl-C; {what}.", "Continue with the same command.")
+    interrupt.report(f"Stopped by Ctrl-C; {what}.", "Continue with the same command.")
 
 
-def _list(*, as_json: bool) -> None:
-    """Say what there is to reproduce."""
-    from chamfer_morph.cli.display import clock, print_table
+def _print_list(*, as_json: bool) -> None:
+    """Print what there is to reproduce."""
+    from chamfer_morph.cli.tables import clock, print_table
     from chamfer_morph.reproduction.catalog import SUBJECTS, cpu_seconds_of, runs_of
 
     rows = [

@@ -12,8 +12,8 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from chamfer_morph.cli.display import PIPED_WIDTH, clock
-from chamfer_morph.cli.progress_display import Live
+from chamfer_morph.cli.progress_display import ProgressDisplay
+from chamfer_morph.cli.tables import PIPED_WIDTH, clock
 from chamfer_morph.reproduction.execution import Progress as RunProgress
 from chamfer_morph.reproduction.run import Run
 from chamfer_morph.reproduction.section import Grid, Section
@@ -23,7 +23,7 @@ SETTLED_SHARE = 0.02
 """From here on the time left follows from what has been measured, not from the estimate."""
 
 
-class ReproductionDisplay(Live):
+class ReproductionDisplay(ProgressDisplay):
     """A line for the whole and one for each run under way; elsewhere a line per finished run.
 
     Args:
@@ -41,7 +41,7 @@ class ReproductionDisplay(Live):
         self._jobs = jobs
         self._whole = self._progress.add_task("all", total=1.0, note="")
         self._tasks: dict[str, TaskID] = {}
-        self._told: set[str] = set()
+        self._printed: set[str] = set()
         self._begun = time.monotonic()
         self._done_at_first: float | None = None
 
@@ -50,9 +50,9 @@ class ReproductionDisplay(Live):
         left = clock(self._seconds_left(progress))
         counts = f"{len(progress.finished)}/{len(progress.runs)} runs"
         for run_id, record in progress.finished.items():
-            if run_id not in self._told:
-                self._told.add(run_id)
-                self.note(f"{counts}  {_outcome(record)}  left {left}")
+            if run_id not in self._printed:
+                self._printed.add(run_id)
+                self.print(f"{counts}  {_outcome(record)}  left {left}")
         share = progress.cost_done / progress.cost if progress.runs else 1.0
         self._progress.update(self._whole, completed=share, note=f"{counts}  left {left}")
         frames = {run.id: run.frames for run in progress.runs}
@@ -74,8 +74,8 @@ class ReproductionDisplay(Live):
         return left / self._jobs
 
 
-def say_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | None) -> None:
-    """Say on standard error what is about to be computed, and how long that takes about."""
+def print_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | None) -> None:
+    """Print on standard error what is about to be computed, and how long that takes about."""
     cost = sum(run.expected_cpu_seconds for run in missing)
     plan = f"{len(missing)} runs to compute, {known} are there already."
     if missing and server is None:

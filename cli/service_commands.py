@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chamfer_morph.cli.connection import KeyOption, ServerOption, connect
 from chamfer_morph.cli.exit_status import print_json
-from chamfer_morph.cli.job_commands import AsJson
+from chamfer_morph.cli.options import JsonOption, KeyOption, ServerOption, connect
 
 if TYPE_CHECKING:
     from chamfer_morph.schemas import WorkerStatus
@@ -28,14 +27,16 @@ WorkerArgument = Annotated[
 
 
 @keys.command("list")
-def list_keys(server: ServerOption = None, key: KeyOption = None, as_json: AsJson = False) -> None:
+def list_keys(
+    server: ServerOption = None, key: KeyOption = None, as_json: JsonOption = False
+) -> None:
     """List the API keys; nobody can see their secrets."""
-    from chamfer_morph.cli.display import print_table
+    from chamfer_morph.cli.tables import print_table
 
     with connect(server, key) as client:
         found = client.keys()
     if as_json:
-        print_json({"keys": [each.model_dump(mode="json") for each in found]})
+        print_json({"keys": found})
     else:
         print_table(
             ("key", "may", "since"),
@@ -52,13 +53,13 @@ def create_key(
     ] = None,
     server: ServerOption = None,
     key: KeyOption = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Make an API key; prints its secret, which is not shown again."""
     with connect(server, key) as client:
         made = client.create_key(name, scope or ("read", "submit"))
     if as_json:
-        print_json(made.model_dump(mode="json"))
+        print_json(made)
     else:
         typer.echo(made.secret)
         typer.echo("Keep it: it is not shown again.", err=True)
@@ -69,7 +70,7 @@ def delete_key(
     name: NameArgument,
     server: ServerOption = None,
     key: KeyOption = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Delete an API key; it is refused from now on."""
     with connect(server, key) as client:
@@ -82,15 +83,15 @@ def delete_key(
 
 @workers.command("list")
 def list_workers(
-    server: ServerOption = None, key: KeyOption = None, as_json: AsJson = False
+    server: ServerOption = None, key: KeyOption = None, as_json: JsonOption = False
 ) -> None:
     """List the worker slots and what they compute."""
-    from chamfer_morph.cli.display import print_table
+    from chamfer_morph.cli.tables import print_table
 
     with connect(server, key) as client:
         found = client.workers()
     if as_json:
-        print_json({"workers": [each.model_dump(mode="json") for each in found]})
+        print_json({"workers": found})
     else:
         print_table(
             ("worker", "state", "job"), ((each.id, _state(each), each.job or "") for each in found)
@@ -102,12 +103,12 @@ def pause(
     worker: WorkerArgument,
     server: ServerOption = None,
     key: KeyOption = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Let a worker finish its job and start no other."""
     with connect(server, key) as client:
         status = client.pause_worker(worker)
-    _say(status, as_json=as_json)
+    _print_status(status, as_json=as_json)
 
 
 @workers.command()
@@ -115,17 +116,17 @@ def unpause(
     worker: WorkerArgument,
     server: ServerOption = None,
     key: KeyOption = None,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Let a paused worker start jobs again."""
     with connect(server, key) as client:
         status = client.unpause_worker(worker)
-    _say(status, as_json=as_json)
+    _print_status(status, as_json=as_json)
 
 
-def _say(status: WorkerStatus, *, as_json: bool) -> None:
+def _print_status(status: WorkerStatus, *, as_json: bool) -> None:
     if as_json:
-        print_json(status.model_dump(mode="json"))
+        print_json(status)
     else:
         typer.echo(f"{status.id}  {_state(status)}")
 

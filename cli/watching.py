@@ -4,35 +4,44 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
-from chamfer_morph.cli.display import RunDisplay
+from chamfer_morph.cli import interrupt
+from chamfer_morph.cli.exit_status import print_json
+from chamfer_morph.cli.progress_display import RunDisplay
 from chamfer_morph.client.client import MorphClient
 from chamfer_morph.schemas import Event, Job, JobState, Sweep
 
 POLL_SECONDS = 1.0
 
 
-def watch_job(client: MorphClient, job: Job, *, quiet: bool) -> Job:
+def watch_job(client: MorphClient, job: Job, *, quiet: bool, as_json: bool) -> Job:
     """Show a job until it is finished.
 
     Returns:
         The job as it ended.
     """
-    with RunDisplay(job.progress.frames, quiet=quiet) as display:
+    with (
+        _leaving_at_interrupt("job", job.id, "watch", as_json=as_json),
+        RunDisplay(job.progress.frames, quiet=quiet) as display,
+    ):
         _wait_for_start(client, job, display)
         for event in client.events(job.id):
             _show(event, display)
     return client.job(job.id, patient=True)
 
 
-def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool) -> Sweep:
+def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool, as_json: bool) -> Sweep:
     """Show a sweep until all of its jobs are finished.
 
     Returns:
         The sweep as it ended.
     """
-    with RunDisplay(len(sweep.rows), quiet=quiet) as display:
+    with (
+        _leaving_at_interrupt("sweep", sweep.id, "sweep", as_json=as_json),
+        RunDisplay(len(sweep.rows), quiet=quiet) as display,
+    ):
         known = {row.job: row.state for row in sweep.rows if row.state.finished}
         while len(known) < len(sweep.rows):
             time.sleep(POLL_SECONDS)
@@ -41,9 +50,25 @@ def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool) -> Sweep:
                 if row.state.finished and row.job not in known:
                     known[row.job] = row.state
                     what = f"{row.source} to {row.target}, {row.method}, seed {row.seed}"
-                    display.note(f"{row.state.value}: {what} ({row.job})")
+                    display.print(f"{row.state.value}: {what} ({row.job})")
             display.describe(_counts(sweep.counts), done=len(known))
     return sweep
+
+
+def _leaving_at_interrupt(
+    kind: str, name: str, command: str, *, as_json: bool
+) -> AbstractContextManager[None]:
+    """Within, Ctrl-C stops the watching and leaves the work to the service."""
+
+    def report() -> None:
+        if as_json:
+            print_json({"id": name, "interrupted": True})
+        interrupt.report(
+            f"Stopped watching by Ctrl-C; the {kind} goes on.",
+            f"See it again with morph {command} {name}.",
+        )
+
+    return interrupt.at_interrupt(report)
 
 
 def _wait_for_start(client: MorphClient, job: Job, display: RunDisplay) -> None:
@@ -63,11 +88,11 @@ def _show(event: Event, display: RunDisplay) -> None:
     if event.type == "frame":
         display.advance(data["frame"], data["metrics"], data["seconds"])
     elif event.type == "watchdog":
-        display.note(data["message"])
+        display.print(data["message"])
     elif event.type == "attempt" and (data["attempt"] > 1 or data["resumed_frames"]):
-        display.note(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
+        display.print(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
     elif event.type == "problem" and data["retry"]:
-        display.note(f"{data['cause']} It is tried again.")
+        display.print(f"{data['cause']} It is tried again.")
 
 
 def _counts(counts: Mapping[JobState, Any]) -> str:

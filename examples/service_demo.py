@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from chamfer_morph.cli.display import clock
-from chamfer_morph.cli.job_tables import print_end
+from chamfer_morph.cli.job_tables import print_outcome
+from chamfer_morph.cli.tables import clock
 from chamfer_morph.client.client import MorphClient
 
 
@@ -87,7 +87,7 @@ def main() -> None:
     with serving(arguments.data_dir) as server, MorphClient(server) as client:
         print(f"The service is at {server}, its API is described at {server}/docs.")
         job = client.job(compute(client, "sphere", "star", arguments.frames))
-        print_end(job)
+        print_outcome(job)
         if job.outcome is None or job.started_at is None or job.finished_at is None:
             sys.exit(1)
         client.download(job.id, arguments.out)

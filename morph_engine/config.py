@@ -7,13 +7,12 @@ path, as in `configure("fast", {"chamfer.weight": 5})`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from morph_engine.errors import ConfigError
+from morph_engine.errors import ConfigError, unknown_name
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -350,9 +349,8 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
     known = field_paths()
     for path, value in values.items():
         if path not in known:
-            near = difflib.get_close_matches(path, known, 1, 0.0)
-            near = [p for p in known if p.rsplit(".", 1)[-1] == path] or near
-            raise ConfigError(f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?")
+            likely = [p for p in known if p.rsplit(".", 1)[-1] == path] or known
+            raise unknown_name("setting", path, likely, list_known=False)
         *sections, leaf = path.split(".")
         node = tree
         for section in sections:
@@ -375,10 +373,7 @@ def validated(tree: Mapping[str, Any]) -> MorphConfig:
         first = error.errors()[0]
         path = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            near = difflib.get_close_matches(path, field_paths(), 1, 0.0)
-            raise ConfigError(
-                f"There is no setting called {path!r}.", f"Did you mean {near[0]!r}?"
-            ) from None
+            raise unknown_name("setting", path, field_paths(), list_known=False) from None
         message = first["msg"].removeprefix("Value error, ")
         given = f"{path} = {first['input']!r}: " if path else ""
         raise ConfigError(

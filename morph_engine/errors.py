@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class MorphError(Exception):
     """Base of every error the engine raises on purpose.
@@ -46,3 +48,29 @@ class SimulationError(MorphError):
 
 class ExtraError(MorphError):
     """An optional package is not installed."""
+
+
+def unknown_name(
+    kind: str,
+    name: str,
+    known: Iterable[str],
+    *,
+    list_known: bool = True,
+    error: type[MorphError] = ConfigError,
+) -> MorphError:
+    """The error for a name that is none of the known ones; its remedy has the nearest of them.
+
+    Args:
+        kind: What the name would be of, as in "preset".
+        name: What was given.
+        known: The names there are, at least one.
+        list_known: Whether the remedy lists them all.
+        error: Class of the error.
+    """
+    import difflib
+
+    known = list(known)
+    remedy = f"Did you mean {difflib.get_close_matches(name.lower(), known, 1, 0.0)[0]!r}?"
+    if list_known:
+        remedy += f" {kind.capitalize()}s are {', '.join(known)}."
+    return error(f"There is no {kind} called {name!r}.", remedy)

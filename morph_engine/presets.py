@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
 from morph_engine.config import MorphConfig, override, validated
-from morph_engine.errors import ConfigError
+from morph_engine.errors import unknown_name
 
 DEFAULT = "fast"
 
@@ -76,9 +75,5 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
 
 def _find(name: str) -> tuple[int, str, dict[str, Any]]:
     if name not in _PRESETS:
-        near = difflib.get_close_matches(name, _PRESETS, 1, 0.0)[0]
-        raise ConfigError(
-            f"There is no preset called {name!r}.",
-            f"Did you mean {near!r}? Presets are {', '.join(_PRESETS)}.",
-        )
+        raise unknown_name("preset", name, _PRESETS)
     return _PRESETS[name]

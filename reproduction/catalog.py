@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 
 from chamfer_morph.reproduction.beyond import BEYOND
@@ -10,7 +9,7 @@ from chamfer_morph.reproduction.experiment import Experiment, distinct
 from chamfer_morph.reproduction.experiments import EXPERIMENTS
 from chamfer_morph.reproduction.run import Run
 from chamfer_morph.reproduction.studies import STUDIES, Study
-from morph_engine.errors import ConfigError
+from morph_engine.errors import unknown_name
 
 Subject = Experiment | Study
 
@@ -31,11 +30,7 @@ def choose(names: Sequence[str], *, quick: bool = False) -> tuple[Subject, ...]:
     """
     for name in names:
         if name not in (*SUBJECTS, ALL):
-            near = difflib.get_close_matches(name, (*SUBJECTS, ALL), 1, 0.0)[0]
-            raise ConfigError(
-                f"There is no table called {name!r}.",
-                f"Did you mean {near!r}? Tables are {', '.join(SUBJECTS)} and all.",
-            )
+            raise unknown_name("table", name, (*SUBJECTS, ALL))
     chosen = [
         subject
         for name, subject in SUBJECTS.items()

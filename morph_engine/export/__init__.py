@@ -5,11 +5,10 @@ To add a format, write a module with a `FORMAT` and name it in `_ALL`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from morph_engine.errors import ConfigError, ResultError
+from morph_engine.errors import ConfigError, ResultError, unknown_name
 from morph_engine.export import csv, glb, npz, obj, ply, stl, usd, video
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
@@ -32,11 +31,7 @@ def find(name: str) -> Format:
         ConfigError: There is no such format.
     """
     if name not in FORMATS:
-        near = difflib.get_close_matches(name, FORMATS, 1, 0.0)[0]
-        raise ConfigError(
-            f"There is no export format called {name!r}.",
-            f"Did you mean {near!r}? Formats are {', '.join(FORMATS)}.",
-        )
+        raise unknown_name("export format", name, FORMATS)
     return FORMATS[name]
 
 

@@ -6,7 +6,6 @@ them hold nearly the same number of particles, and is centred in the domain, y u
 
 from __future__ import annotations
 
-import difflib
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -23,7 +22,7 @@ from scipy.interpolate import PchipInterpolator
 from shapely import MultiPolygon, Polygon
 from shapely.affinity import scale, translate
 
-from morph_engine.errors import MeshError
+from morph_engine.errors import MeshError, unknown_name
 from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
 from morph_engine.geometry.sampling import REFERENCE_VOLUME, fit_to_domain
 
@@ -60,9 +59,7 @@ def make(name: str) -> Mesh:
     elif name in _SHAPES:
         raw = _SHAPES[name]()
     else:
-        close = difflib.get_close_matches(name.lower(), names(), n=1)
-        hint = f"Did you mean {close[0]}?" if close else f"Choose from {', '.join(names())}."
-        raise MeshError(f"There is no built-in shape {name!r}.", hint)
+        raise unknown_name("built-in shape", name, names(), error=MeshError)
     mesh = make_mesh(raw.vertices, raw.faces, name=name)
     return fit_to_domain(mesh, mode="volume")[0]
 

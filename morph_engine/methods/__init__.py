@@ -7,12 +7,11 @@ of your own registers its class with `register` instead.
 from __future__ import annotations
 
 import ast
-import difflib
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from morph_engine.errors import ConfigError
+from morph_engine.errors import ConfigError, unknown_name
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 
 _CLASSES = {
@@ -57,11 +56,7 @@ def find(name: str) -> type[Method]:
     if name in _registered:
         return _registered[name]
     if name not in _CLASSES:
-        near = difflib.get_close_matches(name, names(), 1, 0.0)[0]
-        raise ConfigError(
-            f"There is no method called {name!r}.",
-            f"Did you mean {near!r}? Methods are {', '.join(names())}.",
-        )
+        raise unknown_name("method", name, names())
     module, _, attribute = _CLASSES[name].partition(":")
     method: type[Method] = getattr(import_module(module), attribute)
     return method

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from morph_engine.errors import ConfigError, ResultError
+from morph_engine.errors import ResultError, unknown_name
 from morph_engine.metrics.point_metrics import (
     Points,
     distance_to_other,
@@ -80,11 +79,7 @@ def find(name: str) -> FieldDefinition:
         ConfigError: There is no such field.
     """
     if name not in FIELDS:
-        near = difflib.get_close_matches(name, FIELDS, 1, 0.0)[0]
-        raise ConfigError(
-            f"There is no field called {name!r}.",
-            f"Did you mean {near!r}? Fields are {', '.join(FIELDS)}.",
-        )
+        raise unknown_name("field", name, FIELDS)
     return FIELDS[name]
 
 

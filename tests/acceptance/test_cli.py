@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from typer.main import get_group
 
+from chamfer_morph.cli import app
 from morph_engine.geometry.shapes import names
 
 MORPH = Path(sys.executable).with_name("morph")
@@ -45,6 +48,24 @@ def test_help_needs_no_taichi():
     code += "sys.exit(' '.join({'taichi', 'scipy', 'trimesh', 'h5py', 'numpy'} & set(sys.modules)))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert outcome.stderr.strip() == ""
+
+
+def test_a_command_imports_its_own_module_only():
+    """`morph shapes` does not pay for the commands beside it."""
+    code = "import sys, chamfer_morph.cli.app as c; c.app(['shapes'], standalone_mode=False); "
+    code += "sys.exit(' '.join(name for name in sys.modules if name.endswith('_commands')))"
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert outcome.stderr.split() == ["chamfer_morph.cli.shape_commands"]
+
+
+def test_every_command_is_where_the_table_says():
+    """The table that commands are found by names each command of each module, and its module."""
+    defined = {
+        name: module
+        for module in set(app.COMMANDS.values())
+        for name in get_group(import_module(f"chamfer_morph.cli.{module}").app).commands
+    }
+    assert defined == app.COMMANDS
 
 
 def test_shapes_are_those_of_the_library():

@@ -97,7 +97,7 @@ def test_text_that_cannot_be_drawn(text):
 
 def test_unknown_name_suggests_the_nearest():
     """A typing error is answered by the name that was meant."""
-    with pytest.raises(MeshError, match="Did you mean teapot"):
+    with pytest.raises(MeshError, match="Did you mean 'teapot'"):
         resolve_shape("teepot")
 
 

@@ -1,18 +1,15 @@
-"""What a person sees: live progress on standard error, tables on standard output."""
+"""Tables on standard output, and how numbers are written for people."""
 
 from __future__ import annotations
 
 import sys
-from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from chamfer_morph.cli.progress_display import Live
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,66 +17,9 @@ if TYPE_CHECKING:
 
     from morph_engine.config import MorphConfig
     from morph_engine.geometry.ingest import IngestReport
-    from morph_engine.morphing import Frame
 
 PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""
-
-
-class RunDisplay(Live):
-    """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
-
-    On a terminal it is one live line; elsewhere each frame is a line of its own.
-
-    Args:
-        frame_count: Frames of the whole run.
-        quiet: Show nothing.
-    """
-
-    def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
-        super().__init__(
-            TextColumn("{task.completed}/{task.total}"),
-            BarColumn(),
-            TextColumn("{task.description}"),
-            quiet=quiet,
-        )
-        self._frame_count = frame_count
-        self._recent: deque[float] = deque(maxlen=5)
-        self._task = self._progress.add_task("preparing", total=frame_count)
-
-    def show(self, frame: Frame) -> None:
-        """Show a finished frame."""
-        for event in frame.events:
-            self.note(event.message)
-        self.advance(frame.index, frame.metrics, frame.seconds)
-
-    def describe(self, text: str, *, done: int | None = None) -> None:
-        """Say what goes on, on a terminal only.
-
-        Args:
-            text: What goes on.
-            done: How much of the whole is finished, if that has changed.
-        """
-        self._progress.update(self._task, description=text, completed=done)
-
-    def advance(self, index: int, metrics: Mapping[str, float], seconds: float) -> None:
-        """Show that a frame is finished.
-
-        Args:
-            index: 0-based frame index.
-            metrics: Its metrics.
-            seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
-        """
-        done = index + 1
-        text = losses(metrics)
-        if seconds:
-            self._recent.append(seconds)
-            left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
-            text += f"  left {clock(left)}"
-        if self._progress.disable:
-            self._console.print(f"frame {index}  {done}/{self._frame_count}  {text}")
-        else:
-            self._progress.update(self._task, completed=done, description=text)
 
 
 def losses(metrics: Mapping[str, float]) -> str:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from chamfer_morph.cli.display import clock, print_settings, size
+from chamfer_morph.cli.tables import clock, print_settings, size
 from morph_engine.config import field_paths
 from morph_engine.errors import ConfigError
 from morph_engine.presets import configure

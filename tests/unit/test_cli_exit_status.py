@@ -38,7 +38,7 @@ def test_a_fault_names_what_to_report(capsys):
     """An unexpected exception says its type, where it happened, and how to see more."""
     exit_status(fails_with(ZeroDivisionError("by zero")), as_json=False, debug=False)
     said = capsys.readouterr().err
-    assert "ZeroDivisionError" in said and "test_exit_status.py" in said and "--debug" in said
+    assert "ZeroDivisionError" in said and "test_cli_exit_status.py" in said and "--debug" in said
 
 
 def test_debug_lets_the_traceback_through():

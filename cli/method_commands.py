@@ -1,0 +1,48 @@
+"""Commands that list what there is to choose from: methods and presets."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from chamfer_morph.cli.exit_status import print_json
+from chamfer_morph.cli.options import JsonOption
+
+app = typer.Typer()
+
+
+@app.command()
+def methods(as_json: JsonOption = False) -> None:
+    """List the methods."""
+    from chamfer_morph.cli.tables import print_table
+    from morph_engine import methods as known
+
+    rows = {name: known.find(name).summary() for name in known.names()}
+    if as_json:
+        print_json({"methods": rows})
+    else:
+        print_table(("method", "what it does"), rows.items())
+
+
+@app.command()
+def presets(
+    name: Annotated[str | None, typer.Argument(help="Show the settings of this one.")] = None,
+    describe: Annotated[
+        str | None, typer.Option(metavar="SECTION", help="Only settings of this section.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the presets, or every setting of one with its meaning and range."""
+    from chamfer_morph.cli.tables import print_settings, print_table
+    from morph_engine import presets as known
+
+    if as_json:
+        chosen = [name] if name else known.names()
+        print_json({each: known.configure(each).model_dump(mode="json") for each in chosen})
+    elif name or describe:
+        print_settings(known.configure(name or known.DEFAULT), section=describe)
+    else:
+        print_table(
+            ("preset", "what it is"), ((each, known.describe(each)) for each in known.names())
+        )

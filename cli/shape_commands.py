@@ -1,0 +1,90 @@
+"""Commands on shapes and meshes: list, inspect, measure."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from chamfer_morph.cli.exit_status import BAD_INPUT, error_document, print_json
+from chamfer_morph.cli.options import FIT_HELP, SHAPE_HELP, Fit, JsonOption
+from morph_engine.errors import MorphError
+
+app = typer.Typer()
+
+
+@app.command()
+def shapes(as_json: JsonOption = False) -> None:
+    """List the built-in shapes; text:HELLO makes extruded letters of any string."""
+    from morph_engine.geometry.shapes import names
+
+    if as_json:
+        print_json({"shapes": list(names())})
+    else:
+        typer.echo("\n".join((*names(), "text:ANY STRING")))
+
+
+@app.command()
+def inspect(
+    mesh: Annotated[str, typer.Argument(metavar="MESH", help=SHAPE_HELP)],
+    fit: Annotated[Fit, typer.Option(help=FIT_HELP)] = "none",
+    as_json: JsonOption = False,
+) -> None:
+    """Describe a mesh: closed?, volume, particles, expected time and memory; 2 if unusable."""
+    from chamfer_morph.cli.tables import print_report
+    from morph_engine.geometry.ingest import check_mesh, inspect_mesh
+    from morph_engine.geometry.sampling import fit_to_domain
+    from morph_engine.geometry.shapes import resolve_shape
+
+    fitted, _ = fit_to_domain(resolve_shape(mesh), mode=fit)
+    report = inspect_mesh(fitted)
+    try:
+        check_mesh(fitted)
+    except MorphError as error:
+        if as_json:
+            print_json(report.model_dump(mode="json") | error_document(error))
+            raise typer.Exit(BAD_INPUT) from error
+        print_report(report)
+        raise
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        print_report(report)
+
+
+@app.command()
+def metrics(
+    a: Annotated[
+        str, typer.Argument(metavar="A", help="Particles: a mesh, point cloud, result or shape.")
+    ],
+    b: Annotated[
+        str | None,
+        typer.Argument(metavar="[B]", help="Target, the same kinds; a result has its own."),
+    ] = None,
+    points_per_cell_edge: Annotated[
+        int | None, typer.Option(min=1, max=8, help="Lattice points per grid cell edge.")
+    ] = None,
+    reference: Annotated[
+        Literal["volume", "surface"], typer.Option(help="Fill meshes, or sample their surface.")
+    ] = "volume",
+    frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
+    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = 0.2,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how well A fills B: Chamfer, Hausdorff, F1, overlap, coverage, fill."""
+    from chamfer_morph.cli.tables import print_metrics
+    from morph_engine.comparison import compare
+
+    measurement = compare(
+        a,
+        b,
+        spacing=1 / points_per_cell_edge if points_per_cell_edge else None,
+        reference=reference,
+        frame=frame,
+        tau=tau,
+        workers=-1,
+    )
+    if as_json:
+        print_json(measurement.document())
+    else:
+        print_metrics(measurement.values)
