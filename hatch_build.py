@@ -1,10 +1,12 @@
-"""Builds the web page when the project is installed or packed, where there is Node.js to do it."""
+"""What installing and packing do besides copying files: the web page, and links in a checkout."""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,8 @@ OLDEST_NODE = (20, 19)
 COMMANDS = (("npm", "ci"), ("npm", "run", "build"))
 
 
-class PageHook(BuildHookInterface[Any]):
-    """Runs `npm ci` and `npm run build` in `server/web`.
+class BuildHook(BuildHookInterface[Any]):
+    """Builds the page in `server/web`, and links the folders that an editable install consists of.
 
     Without Node.js the page that came with the sources, if any, is packed as it is.
     """
@@ -23,7 +25,7 @@ class PageHook(BuildHookInterface[Any]):
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the page.
+        """Build the page and, for an editable install, the links.
 
         Args:
             version: `standard`, or `editable` for an installation that points here; that one does
@@ -33,6 +35,8 @@ class PageHook(BuildHookInterface[Any]):
         Raises:
             RuntimeError: Node.js is there and fails.
         """
+        if version == "editable":
+            self._link_subpackages()
         web = Path(self.root) / "server" / "web"
         if not (web / "package.json").is_file():
             return
@@ -56,6 +60,14 @@ class PageHook(BuildHookInterface[Any]):
                     raise RuntimeError(message)
                 self.app.display_warning(message)
                 return
+
+    def _link_subpackages(self) -> None:
+        """Link chamfer_morph/server to server and so on: git has these links, an sdist has not."""
+        for folder, package in self.build_config.sources.items():
+            link = Path(self.root, package)
+            if not os.path.lexists(link):
+                with suppress(OSError):  # as on Windows; chamfer_morph/__init__.py helps itself
+                    link.symlink_to(Path(os.path.relpath(folder, link.parent.name)))
 
 
 def _node_is_there() -> bool:
