@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from morph_engine import export as exports
 
 PANEL = "Results"
-JOB_ID = re.compile(r"[0-9a-z]{26}")
 
 app = typer.Typer()
 
@@ -158,8 +156,10 @@ def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
 @contextmanager
 def _local_file(result: str, server: str | None, key: str | None) -> Iterator[Path]:
     """The result file, fetched from the service where a job is named."""
+    from chamfer_morph.schemas.ids import is_id
+
     path = Path(result)
-    if path.exists() or not JOB_ID.fullmatch(result):
+    if path.exists() or not is_id(result):
         yield path
         return
     with (

@@ -16,7 +16,7 @@ from chamfer_morph.cli import interrupt
 from chamfer_morph.cli.interrupt import at_interrupt
 from chamfer_morph.cli.progress_display import RunDisplay
 from morph_engine import morphing
-from morph_engine.backend import Device
+from morph_engine.device import Device
 from morph_engine.errors import ResultError
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.run_record import Json, RunRecord, software_versions

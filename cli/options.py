@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from morph_engine.device import Device
+
 if TYPE_CHECKING:
     from chamfer_morph.client.client import MorphClient
 
@@ -30,9 +32,7 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Any setting; see morph presets fast."),
 ]
-DeviceOption = Annotated[
-    Literal["auto", "cpu", "cuda", "vulkan", "metal"], typer.Option(help="Where to compute.")
-]
+DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
 
 # results
 

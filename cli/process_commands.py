@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
+import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from chamfer_morph.cli.interrupt import INTERRUPTED
+from morph_engine.child_process import python_command
 from morph_engine.errors import ConfigError
 
 PANEL = "The service"
@@ -31,11 +33,8 @@ def serve(
     Every other setting is a MORPH_* variable of the environment, see docs/settings.md.
     """
     options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA_DIR": data_dir}
-    os.execve(
-        sys.executable,
-        [sys.executable, "-m", "chamfer_morph.server", "serve"],
-        _environment(options),
-    )
+    command = python_command("chamfer_morph.server", "serve")
+    os.execve(command[0], command, _environment(options))
 
 
 @app.command(rich_help_panel=PANEL)
@@ -52,24 +51,25 @@ def worker(
 
     Workers that die are started again. Ctrl-C or SIGTERM ends them all; their jobs go on elsewhere.
     """
-    from chamfer_morph.cli.worker_slots import Slot, chosen_gpus, keep_running
+    from chamfer_morph.cli.gpu_selection import chosen_gpus
+    from chamfer_morph.worker.supervisor import StopSignals, supervise, worker_slot
 
     if slots is not None and gpus is not None:
         raise ConfigError("--slots and --gpus exclude each other.", "Give one of them.")
     environment = _environment({"DATA_DIR": data_dir})
     if gpus is None:
-        wanted = [Slot(number, environment) for number in range(slots or 1)]
+        processes = [worker_slot(number, environment) for number in range(slots or 1)]
     else:
-        wanted = [
-            Slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu}) for gpu in chosen_gpus(gpus)
+        processes = [
+            worker_slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu})
+            for gpu in chosen_gpus(gpus)
         ]
-    raise typer.Exit(keep_running(wanted))
+    stop = StopSignals()
+    supervise(processes, stop)
+    raise typer.Exit(INTERRUPTED if stop.received == signal.SIGINT else 0)
 
 
 def _environment(options: Mapping[str, object]) -> dict[str, str]:
-    """This process's environment with settings of the service.
-
-    PYTHONSAFEPATH keeps a folder called `server` or `worker` where the user stands out of the way.
-    """
+    """This process's environment with settings of the service."""
     given = {f"MORPH_{name}": str(value) for name, value in options.items() if value is not None}
-    return os.environ | given | {"PYTHONSAFEPATH": "1"}
+    return os.environ | given

@@ -22,13 +22,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 import taichi as ti
 from taichi.lang.misc import is_arch_supported
 
-Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
 Precision = Literal["float32", "float64"]
 
 # Taichi 1.7 runs a CPU loop of up to 512 iterations on one thread, so chunk c is iteration c * 512.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from morph_engine import backend, methods
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
+from morph_engine.device import Device
 from morph_engine.errors import MeshError, ResourceError
 from morph_engine.geometry.ingest import check_mesh
 from morph_engine.geometry.mesh import Mesh
@@ -100,7 +101,7 @@ def morph(
     target: Shape,
     config: MorphConfig | None = None,
     *,
-    device: backend.Device = "auto",
+    device: Device = "auto",
     threads: int = 0,
     out: str | Path | None = None,
     resume: bool = False,
@@ -138,7 +139,7 @@ def morph(
 def run(
     record: RunRecord,
     *,
-    device: backend.Device = "auto",
+    device: Device = "auto",
     threads: int = 0,
     out: str | Path | None = None,
     resume: bool = False,

@@ -6,9 +6,7 @@ when its standard input does, which is when whoever started it is gone.
 
 from __future__ import annotations
 
-import os
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from chamfer_morph.reproduction.meshes import MeshFolder
 from chamfer_morph.reproduction.run import Run
 from chamfer_morph.reproduction.store import Record, Store, measured
 from morph_engine import morphing
+from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
@@ -71,15 +70,9 @@ def _is_result_of(path: Path, wanted: RunRecord) -> bool:
         return False
 
 
-def _end_with_standard_input() -> None:
-    while sys.stdin.buffer.read(1):
-        pass
-    os._exit(1)
-
-
 def main() -> int:
     """Read the command line and compute; a run that cannot be computed is noted in the store."""
-    threading.Thread(target=_end_with_standard_input, daemon=True).start()
+    exit_with_parent(1)
     text, results, folder, threads = sys.argv[1:]
     run, store, meshes = (
         Run.model_validate_json(text),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import psutil
 from chamfer_morph.reproduction.meshes import MeshFolder
 from chamfer_morph.reproduction.run import Run
 from chamfer_morph.reproduction.store import Record, Store
+from morph_engine.child_process import python_command
 from morph_engine.results.spool import finished_frames
 
 POLL_SECONDS = 0.2
@@ -131,7 +131,7 @@ def _start(run: Run, store: Store, meshes: MeshFolder, threads: int) -> subproce
     arguments = [run.model_dump_json(), str(store.folder), str(meshes.path), str(threads)]
     with store.log_path(run).open("wb") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "chamfer_morph.reproduction.compute", *arguments],
+            python_command("chamfer_morph.reproduction.compute", *arguments),
             stdin=subprocess.PIPE,  # its end tells the process that we are gone
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     if arguments.command == "serve":
-        from chamfer_morph.server.supervisor import serve
+        from chamfer_morph.server.serve import serve
 
         return serve(settings)
     if arguments.command == "openapi":

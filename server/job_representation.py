@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from chamfer_morph.schemas import Job, JobState, Progress
+from chamfer_morph.schemas.ids import is_id
 from chamfer_morph.server.context import Service
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError, not_found
@@ -17,8 +18,6 @@ from chamfer_morph.worker.progress import JobProgress, read_progress
 from chamfer_morph.worker.queue import RECORDS_KEPT, JobRecord
 from chamfer_morph.worker.tasks.partial_result import keep_result
 from morph_engine.results.run_record import RunRecord
-
-ID_LENGTH = 26
 
 
 def find(job_id: str, caller: Caller, service: Service) -> JobRecord:
@@ -99,11 +98,6 @@ def file_stem(record: JobRecord) -> str:
     plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
     partial = "" if record.state is JobState.SUCCEEDED else "-partial"
     return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}"
-
-
-def is_id(text: str) -> bool:
-    """Whether a text may be the id of a job or a sweep."""
-    return len(text) == ID_LENGTH and text.isascii() and text.isalnum()
 
 
 def check_allowed(record: JobRecord, action: Action) -> None:

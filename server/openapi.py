@@ -16,6 +16,7 @@ from chamfer_morph.schemas import (
     KeyRequest,
     ProblemDocument,
     SweepRequest,
+    ids,
 )
 from chamfer_morph.server.http.problems import KINDS, MEDIA_TYPE
 from morph_engine import methods, presets
@@ -33,7 +34,7 @@ EXTRA_MODELS: tuple[type[BaseModel], ...] = (
 BODY_ERRORS = (400, 408, 413, 415, 422, 429)
 OPEN = ("livez", "readyz", "metrics")
 
-JOB_ID = {"type": "string", "pattern": "^[0-9a-z]{26}$"}
+JOB_ID = {"type": "string", "pattern": f"^{ids.PATTERN}$"}
 PATH_SCHEMAS: dict[str, dict[str, Any]] = {
     "job_id": JOB_ID,
     "sweep_id": JOB_ID,

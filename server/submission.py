@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import Any
 
 from chamfer_morph.schemas import JobRequest, MeshShape, Shape
+from chamfer_morph.schemas.ids import derived_id
 from chamfer_morph.server.context import Service
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
@@ -21,8 +22,6 @@ from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry import shapes
 from morph_engine.geometry.sampling import MINIMUM_PARTICLES, REFERENCE_VOLUME
-
-_DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
 
 
 @dataclass(frozen=True)
@@ -144,14 +143,7 @@ def submit(
 
 def repeated_id(kind: str, caller: Caller, key: str) -> str:
     """The id that an idempotency key of a caller stands for."""
-    return digest_id(f"{kind}\0{caller.name}\0{key}")
-
-
-def digest_id(text: str) -> str:
-    """An id, as jobs have it, that follows from a text."""
-    digest = hashlib.sha256(text.encode()).digest()
-    number = int.from_bytes(digest[:17], "big") >> 6
-    return "".join(_DIGITS[number >> shift & 31] for shift in range(125, -1, -5))
+    return derived_id(f"{kind}\0{caller.name}\0{key}")
 
 
 def body_digest(body: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ import threading
 import time
 
 from chamfer_morph.worker import slots
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 
 LOOK_SECONDS = 0.05
@@ -70,7 +71,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
     from chamfer_morph.worker.storage import Storage
-    from chamfer_morph.worker.workflow import PAUSED, launch
+    from chamfer_morph.worker.workflow import launch
 
     Storage(settings.data_dir)
     queue = JobQueue(settings)
@@ -92,7 +93,7 @@ def run_slot(settings: Settings, executor: str) -> None:
             if not lock.held():
                 os._exit(1)  # somebody else may take its jobs: stop at once
         if paused and not slots.is_paused(settings.data_dir, executor):
-            os._exit(PAUSED)  # start again, unpaused
+            os._exit(ExitCode.PAUSED)  # start again, unpaused
     os._exit(0)  # its engine process ends with it
 
 

@@ -7,7 +7,6 @@ import contextlib
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import psutil
 from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.heartbeat import BEAT, STOP
 from chamfer_morph.worker.settings import Settings
+from morph_engine.child_process import python_command
 
 BEAT_SECONDS = 1.0
 GRACE_SECONDS = 1.5
@@ -75,8 +75,10 @@ async def run_attempt(
     """
     with (job_dir / "log.txt").open("ab") as log:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "chamfer_morph.worker.engine_process",
-            str(job_dir), str(attempt), str(threads_per_job(settings)),
+            *python_command(
+                "chamfer_morph.worker.engine_process",
+                str(job_dir), str(attempt), str(threads_per_job(settings)),
+            ),
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log,
             start_new_session=True,
         )  # fmt: skip

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
 from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.niceness import yield_to_others
@@ -36,7 +37,6 @@ from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
 
 SILENCE_SECONDS = 6.0
-ORPHANED, STOPPED = 75, 76
 
 
 def main(job_dir: Path, attempt: int, threads: int) -> None:
@@ -152,9 +152,9 @@ def _watch_worker(out: Path) -> None:
         if STOP in received:
             with contextlib.suppress(MorphError, OSError):  # the frames stay where they are
                 keep_frames(out)
-            os._exit(STOPPED)
+            os._exit(ExitCode.STOPPED)
         if not received:
-            os._exit(ORPHANED)
+            os._exit(ExitCode.ORPHANED)
 
 
 def _say(type: str, data: dict[str, Any]) -> None:

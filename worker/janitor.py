@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import subprocess
-import sys
 import time
 from datetime import datetime, timedelta, timezone
 
@@ -14,6 +13,7 @@ from chamfer_morph.worker.locks import try_lock
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
+from morph_engine.child_process import python_command
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
                 continue
             log.warning("worker %s is gone; its jobs go back into the queue", executor)
             subprocess.run(
-                [sys.executable, "-m", "chamfer_morph.worker", "adopt", executor],
+                python_command("chamfer_morph.worker", "adopt", executor),
                 timeout=ADOPTION_LIMIT_SECONDS, check=True,
             )  # fmt: skip
             dead.append(executor)

@@ -11,7 +11,6 @@ decide which of their jobs takes which of their places.
 
 from __future__ import annotations
 
-import secrets
 import sqlite3
 import time
 from collections.abc import Collection, Mapping, Sequence
@@ -49,8 +48,6 @@ RECORDS_KEPT = 4096
 NOBODY = "-"
 """Owner of jobs submitted without a key."""
 
-_DIGITS = "0123456789abcdefghjkmnpqrstvwxyz"
-
 
 @dataclass(frozen=True, eq=False)
 class JobRecord:
@@ -85,12 +82,6 @@ class JobRecord:
     executor: str | None
     outcome: Outcome | None
     problem: Problem | None
-
-
-def new_job_id() -> str:
-    """An id that sorts by time: 48 bits of milliseconds, 80 random bits, in Crockford's base 32."""
-    number = int(time.time() * 1000) << 80 | secrets.randbits(80)
-    return "".join(_DIGITS[number >> shift & 31] for shift in range(125, -1, -5))
 
 
 class JobQueue:

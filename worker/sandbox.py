@@ -1,8 +1,8 @@
 """Child processes with little memory and time: files can be hostile, and some work is heavy.
 
 A child is `python -m MODULE ARGUMENT...`; it calls `enter` once its imports are done. What it
-prints is its answer, and where it runs out of memory it exits with `OUT_OF_MEMORY`. It ends at once
-when its parent does.
+prints is its answer, and where it runs out of memory it exits with `ExitCode.OUT_OF_MEMORY`. It
+ends at once when its parent does.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from typing import IO
 
 import psutil
 
+from chamfer_morph.worker.exit_codes import ExitCode
+from morph_engine.child_process import exit_with_parent, python_command
 from morph_engine.errors import ResourceError, ResultError
 
-ORPHANED, OUT_OF_MEMORY = 75, 77
 MOST_THREADS = 4
 """Threads of a child's libraries; each of them reserves memory that the limit counts."""
 
@@ -100,7 +101,7 @@ def run(
         _LIMITS: f"{limits.memory_bytes} {limits.cpu_seconds} {limits.file_bytes}",
     }
     process = subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
+        python_command(module, *arguments),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -130,7 +131,7 @@ def run(
         alarm.cancel()
     if late.is_set() or -status == signal.SIGXCPU:
         raise TooMuchTime
-    if status == OUT_OF_MEMORY or (status and b"bad_alloc" in last_words):
+    if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in last_words):
         raise TooMuchMemory
     if -status == signal.SIGKILL:
         raise Killed
@@ -177,7 +178,7 @@ def enter() -> None:
 
     Memory that the process has by now is free, so import first what the work needs.
     """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    exit_with_parent(ExitCode.ORPHANED)
     memory, seconds, file_bytes = map(int, os.environ[_LIMITS].split())
     if sys.platform == "win32":
         return
@@ -201,9 +202,3 @@ def _listen(stream: IO[bytes], last_words: bytearray) -> None:
 def _end(process: subprocess.Popen[bytes], late: threading.Event) -> None:
     late.set()
     process.kill()
-
-
-def _end_with_parent() -> None:
-    while os.read(0, 1):
-        pass
-    os._exit(ORPHANED)

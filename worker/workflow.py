@@ -13,13 +13,13 @@ from dbos import error as dbos_error
 
 from chamfer_morph.worker import queue
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import is_paused
 from chamfer_morph.worker.storage import Storage
 
 ADOPTIONS = 50
-PAUSED = 77
 
 _settings: Settings
 _executor: str
@@ -59,7 +59,7 @@ def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
 async def morph(spec: dict[str, Any]) -> dict[str, Any]:
     """Compute a job."""
     if is_paused(_settings.data_dir, _executor):
-        os._exit(PAUSED)  # the job goes to another slot
+        os._exit(ExitCode.PAUSED)  # the job goes to another slot
     try:
         return await compute(spec)
     except AttemptFailed as failure:

@@ -17,9 +17,10 @@ from statistics import median
 from benchmarks.service.figures import Figure, counted
 from benchmarks.service.place import Place, body
 from chamfer_morph.schemas import JobRequest, JobState
+from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.submission import configure
 from chamfer_morph.worker.job import JobSpec
-from chamfer_morph.worker.queue import JobQueue, JobRecord, new_job_id
+from chamfer_morph.worker.queue import JobQueue, JobRecord
 
 KEYS = ("first", "second")
 JOBS_PER_KEY = 500
@@ -35,7 +36,7 @@ def measure(place: Place) -> list[Figure]:
     queue.migrate()
     already = queue.counts()[JobState.SUCCEEDED]
     spec = smallest()
-    ids = {key: [new_job_id() for _ in range(JOBS_PER_KEY)] for key in KEYS}
+    ids = {key: [new_id() for _ in range(JOBS_PER_KEY)] for key in KEYS}
     filling = [
         timed(partial(queue.enqueue, spec, job_id=job, owner=key))
         for key in KEYS
@@ -83,7 +84,7 @@ def operations(queue: JobQueue, spec: JobSpec, job: str) -> dict[str, float]:
         "counts": queue.counts,
         "counts of a key": lambda: queue.counts(KEYS[0]),
         "position": lambda: queue.position(job),
-        "enqueue": lambda: queue.enqueue(spec, job_id=new_job_id(), owner=next(turns)),
+        "enqueue": lambda: queue.enqueue(spec, job_id=new_id(), owner=next(turns)),
     }
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(REPEATS):

@@ -34,8 +34,9 @@ from benchmarks.service.fairness import smallest
 from benchmarks.service.figures import Figure, counted
 from benchmarks.service.place import Place, body, show, submit
 from benchmarks.service.requests_and_watchers import Burst
+from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.event_log import EventLog
-from chamfer_morph.worker.queue import JobQueue, new_job_id
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import Storage
 
 ENGINES = 2
@@ -176,7 +177,7 @@ def fill_list(place: Place) -> None:
     queue.migrate()
     spec = smallest()
     for _ in range(OTHERS):
-        job = new_job_id()
+        job = new_id()
         queue.enqueue(spec, job_id=job, owner="")
         queue.cancel(job)
     queue.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import Export, ExportFormat, ExportRequest
+from chamfer_morph.schemas.ids import derived_id, is_id
 from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader, Submitter
 from chamfer_morph.server.context import Service, Services
@@ -20,7 +20,7 @@ from chamfer_morph.server.http.array_encoding import BINARY
 from chamfer_morph.server.http.conditional import tagged, unchanged
 from chamfer_morph.server.http.json_body import read_json
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.submission import body_digest, digest_id
+from chamfer_morph.server.submission import body_digest
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.tasks.make_export import KeptExport, Order, make_export
@@ -210,7 +210,7 @@ def _order(wanted: ExportRequest, record: JobRecord, result: Path) -> Order:
     name = job_representation.file_stem(record)
     if frames and len(frames) == 1:
         name += f"-{frames[0]}"
-    return Order(id=digest_id(f"export\0{digest}"), name=name, **what)
+    return Order(id=derived_id(f"export\0{digest}"), name=name, **what)
 
 
 def _show(job_id: str, export_id: str, service: Service) -> tuple[Export, KeptExport | None]:
@@ -221,7 +221,7 @@ def _show(job_id: str, export_id: str, service: Service) -> tuple[Export, KeptEx
     """
     folder = service.storage.exports_dir(job_id)
     here = f"/v1/jobs/{job_id}/exports/{export_id}"
-    known = re.fullmatch("[0-9a-z]{26}", export_id)
+    known = is_id(export_id)
     # what ends between the two looks is found by the second
     task = service.exports.get(folder / export_id) if known else None
     kept = KeptExport.find(folder, export_id) if known else None

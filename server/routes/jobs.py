@@ -11,6 +11,7 @@ import anyio
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
+from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader, Submitter
 from chamfer_morph.server.context import Service, Services
@@ -22,7 +23,7 @@ from chamfer_morph.server.http.multipart import receive_form
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.meshes import keep
 from chamfer_morph.server.submission import prepare, repeated_id, submit
-from chamfer_morph.worker.queue import JobRecord, new_job_id
+from chamfer_morph.worker.queue import JobRecord
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 
@@ -207,7 +208,7 @@ def _submit(
     wanted: JobRequest, key: str | None, caller: Caller, service: Service
 ) -> tuple[Job, bool]:
     submission = prepare(wanted, caller, service)
-    job_id = repeated_id("job", caller, key) if key else new_job_id()
+    job_id = repeated_id("job", caller, key) if key else new_id()
     if not key or service.queue.get(job_id) is None:
         service.limits.check_jobs(caller.name)
     record, new = submit(submission, job_id=job_id, caller=caller, service=service)

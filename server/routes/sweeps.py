@@ -11,7 +11,7 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
-from chamfer_morph.server import job_representation
+from chamfer_morph.schemas.ids import is_id, new_id
 from chamfer_morph.server.auth import Reader, Submitter
 from chamfer_morph.server.context import Service, Services
 from chamfer_morph.server.database.api_keys import Caller
@@ -22,7 +22,7 @@ from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
 from chamfer_morph.server.submission import body_digest, key_reused, prepare, repeated_id, submit
 from chamfer_morph.worker.progress import read_progress
-from chamfer_morph.worker.queue import JobRecord, new_job_id
+from chamfer_morph.worker.queue import JobRecord
 
 router = APIRouter(prefix="/sweeps", tags=["sweeps"])
 
@@ -95,7 +95,7 @@ def get_sweep(
     format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
 ) -> Any:
     """The jobs of a sweep in one table, with the metrics of the last finished frame of each."""
-    stored = service.sweeps.get(sweep_id) if job_representation.is_id(sweep_id) else None
+    stored = service.sweeps.get(sweep_id) if is_id(sweep_id) else None
     if stored is None or not caller.sees(stored.owner):
         raise not_found("sweep", sweep_id)
     sweep = _show(stored, service)
@@ -113,7 +113,7 @@ def _submit(
             422, f"This makes {len(combinations)} jobs, more than {JOBS}.", "Split the sweep."
         )
     body = body_digest(wanted.model_dump(mode="json"))
-    sweep_id = repeated_id("sweep", caller, key) if key else new_job_id()
+    sweep_id = repeated_id("sweep", caller, key) if key else new_id()
     before = service.sweeps.get(sweep_id)
     if before is not None and before.body != body:
         raise key_reused()

@@ -17,8 +17,9 @@ import psutil
 import pytest
 
 from chamfer_morph.schemas import BuiltInShape, JobState
+from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.job import JobSpec
-from chamfer_morph.worker.queue import JobQueue, JobRecord, new_job_id
+from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
@@ -81,7 +82,7 @@ class Cluster:
             device="cpu",
             timeout_seconds=timeout,
         )
-        job_id = new_job_id()
+        job_id = new_id()
         assert self.queue.enqueue(spec, job_id=job_id, owner=owner, priority=priority)
         return job_id
 

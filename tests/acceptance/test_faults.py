@@ -14,8 +14,9 @@ import psutil
 import pytest
 
 from chamfer_morph.schemas import JobState
+from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.janitor import adopt_orphans
-from chamfer_morph.worker.queue import JobQueue, new_job_id
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
 
 pytestmark = [
@@ -371,7 +372,7 @@ def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
     """Whoever submits again under the same id until there is an answer has queued one job each."""
     cluster = new_cluster(own_postgres.url)
     spec = cluster.job(cluster.submit(frames=1)).spec
-    wanted = [new_job_id() for _ in range(60)]
+    wanted = [new_id() for _ in range(60)]
 
     def enqueue(job_id):
         while True:

@@ -16,11 +16,12 @@ from chamfer_morph.worker.sandbox import Limits
 CHILD = """
 import sys
 from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.exit_codes import ExitCode
 sandbox.enter()
 try:
     exec(sys.argv[1])
 except MemoryError:
-    sys.exit(sandbox.OUT_OF_MEMORY)
+    sys.exit(ExitCode.OUT_OF_MEMORY)
 """
 PARENT = """
 from chamfer_morph.worker import sandbox

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chamfer_morph.schemas.ids import is_id
 from chamfer_morph.server.auth import is_loopback
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.http.uploads import plain_name
-from chamfer_morph.server.job_representation import is_id
 from chamfer_morph.server.routes.events import wants_stream
 from chamfer_morph.server.submission import repeated_id
 

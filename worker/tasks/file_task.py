@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import MorphError, ResultError
 
@@ -70,7 +71,7 @@ def saying_why(making: Making) -> Iterator[None]:
     try:
         yield
     except MemoryError:
-        sys.exit(sandbox.OUT_OF_MEMORY)
+        sys.exit(ExitCode.OUT_OF_MEMORY)
     except OSError as error:
         reason = error.strerror or error
         _say(

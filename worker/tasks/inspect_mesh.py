@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import MeshError, MorphError
 
@@ -72,7 +73,7 @@ def _main() -> None:
     try:
         answer: dict[str, Any] = {"report": _report(path, name)}
     except MemoryError:
-        sys.exit(sandbox.OUT_OF_MEMORY)
+        sys.exit(ExitCode.OUT_OF_MEMORY)
     except MorphError as error:
         answer = refusal(error, path, name)
     sys.stdout.write(json.dumps(answer))

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 from chamfer_morph.schemas import Problem, Sha256
 from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import problem_of
 from chamfer_morph.worker.niceness import yield_to_others
 from chamfer_morph.worker.settings import Settings
@@ -156,7 +157,7 @@ def _main() -> None:
     try:
         _keep(Path(result), Path(folder), Order.model_validate_json(order))
     except MemoryError:
-        sys.exit(sandbox.OUT_OF_MEMORY)
+        sys.exit(ExitCode.OUT_OF_MEMORY)
     except MorphError as error:
         _say(problem=_plain(error, folder, result).model_dump())
 

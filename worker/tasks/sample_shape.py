@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from chamfer_morph.schemas import Fit
 from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.tasks.inspect_mesh import read_mesh, refusal
 from morph_engine.errors import MeshError, MorphError
@@ -71,7 +72,7 @@ def _main() -> None:
     try:
         preview = _sample(kind, shape, name, int(points_per_cell_edge), fit)
     except MemoryError:
-        sys.exit(sandbox.OUT_OF_MEMORY)
+        sys.exit(ExitCode.OUT_OF_MEMORY)
     except MorphError as error:
         sys.stdout.write(json.dumps(refusal(error, Path(shape), name)))
         return

@@ -2,7 +2,7 @@
 
 import pytest
 
-from chamfer_morph.cli.worker_slots import chosen_gpus
+from chamfer_morph.cli.gpu_selection import chosen_gpus
 from morph_engine.errors import ConfigError, DeviceError
 
 

@@ -1,0 +1,43 @@
+"""Child Python processes: what they may import, and how they end with their parent."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+
+_RUN_MODULE = (
+    "import sys; del sys.argv[0]; sys.path[:1] == [''] and sys.path.pop(0); "
+    "import runpy; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+)
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """The command line that runs a module in a new Python process, as ``python -m`` does.
+
+    Unlike ``python -m`` it never imports from the working directory, where a user may have a
+    `queue.py` or a folder called `server`. PYTHONPATH counts as ever.
+
+    Args:
+        module: The module, by its full name.
+        arguments: Its arguments.
+    """
+    if sys.version_info >= (3, 11):
+        return [sys.executable, "-P", "-m", module, *arguments]
+    else:  # has no such option
+        return [sys.executable, "-c", _RUN_MODULE, module, *arguments]
+
+
+def exit_with_parent(status: int) -> None:
+    """End this process at once when its standard input ends, as it does when its parent dies.
+
+    Args:
+        status: The exit status.
+    """
+
+    def wait() -> None:
+        while os.read(0, 1):
+            pass
+        os._exit(status)
+
+    threading.Thread(target=wait, daemon=True).start()

@@ -1,0 +1,21 @@
+"""Exit statuses by which child processes say why they ended."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """An end that is neither success nor a crash."""
+
+    ORPHANED = 75
+    """Its parent has died or fallen silent."""
+
+    STOPPED = 76
+    """Its parent has told it to stop."""
+
+    OUT_OF_MEMORY = 77
+    """It has reached its limit of memory."""
+
+    PAUSED = 78
+    """Its worker slot has been paused or unpaused, and begins afresh."""
