@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.service.place import Place
-from chamfer_morph.server.database.api_keys import Keyring
+from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.tables import create
 from chamfer_morph.worker.queue import database
 
@@ -37,7 +37,7 @@ def main() -> int:
         place = Place(Path(folder), options.database)
         engine = database(place.settings)
         create(engine)
-        made = Keyring(engine).add("root", ["admin"])
+        made = ApiKeyStore(engine).add("root", ["admin"])
         engine.dispose()
         assert made is not None, "the database is not empty"
         with place.served(1) as (api, _):

@@ -14,7 +14,7 @@ from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import MorphError
 
 if TYPE_CHECKING:
-    from chamfer_morph.server.database.api_keys import Keyring
+    from chamfer_morph.server.database.api_keys import ApiKeyStore
 
 BAD_INPUT = 2
 
@@ -64,12 +64,12 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
 
         sys.stdout.write(text(create_app(settings)))
         return 0
-    keyring = _keyring(settings)
+    api_keys = _api_keys(settings)
     if arguments.command == "keys":
-        return _keys(arguments, keyring)
+        return _manage_keys(arguments, api_keys)
     from chamfer_morph.server.listener import check_keys, listen
 
-    check_keys(settings, keyring)
+    check_keys(settings, api_keys)
     if arguments.command == "check":
         from chamfer_morph.worker.queue import migrate
 
@@ -83,9 +83,9 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     return 0
 
 
-def _keyring(settings: Settings) -> Keyring:
+def _api_keys(settings: Settings) -> ApiKeyStore:
     """The keys, in tables that exist."""
-    from chamfer_morph.server.database.api_keys import Keyring
+    from chamfer_morph.server.database.api_keys import ApiKeyStore
     from chamfer_morph.server.database.tables import create
     from chamfer_morph.worker.queue import database
     from chamfer_morph.worker.storage import Storage
@@ -93,16 +93,16 @@ def _keyring(settings: Settings) -> Keyring:
     Storage(settings.data_dir)
     engine = database(settings)
     create(engine)
-    return Keyring(engine)
+    return ApiKeyStore(engine)
 
 
-def _keys(arguments: argparse.Namespace, keyring: Keyring) -> int:
+def _manage_keys(arguments: argparse.Namespace, api_keys: ApiKeyStore) -> int:
     if arguments.action == "list":
-        keys = [key.model_dump(mode="json") for key in keyring.keys()]
+        keys = [key.model_dump(mode="json") for key in api_keys.all()]
         sys.stdout.write(json.dumps(keys, indent=2) + "\n")
         return 0
     if arguments.action == "remove":
-        if keyring.remove(arguments.name):
+        if api_keys.remove(arguments.name):
             return 0
         sys.stderr.write(f"There is no key {arguments.name!r}.\n")
         return BAD_INPUT
@@ -115,7 +115,7 @@ def _keys(arguments: argparse.Namespace, keyring: Keyring) -> int:
     except ValidationError:
         sys.stderr.write("A key's name has up to 64 letters, digits, dots, dashes, underscores.\n")
         return BAD_INPUT
-    made = keyring.add(wanted.name, wanted.scopes)
+    made = api_keys.add(wanted.name, wanted.scopes)
     if made is None:
         sys.stderr.write(f"There is a key {wanted.name!r} already.\n")
         return BAD_INPUT

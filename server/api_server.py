@@ -8,7 +8,7 @@ import socket
 import uvicorn
 
 from chamfer_morph.server.app import create_app
-from chamfer_morph.server.context import Service
+from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http.security_headers import SecurityHeaders
 from chamfer_morph.worker.settings import Settings
 
@@ -38,10 +38,10 @@ class ApiServer(uvicorn.Server):
         )
 
     @property
-    def service(self) -> Service:
+    def context(self) -> ServerContext:
         """What the endpoints share, once it has started."""
-        service: Service = self._app.state.service
-        return service
+        context: ServerContext = self._app.state.context
+        return context
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to answer.
@@ -55,6 +55,6 @@ class ApiServer(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop answering."""
-        self.service.watches.close()
-        self.service.end_children()
+        self.context.event_hub.close()
+        self.context.close_pools()
         await super().shutdown(sockets)

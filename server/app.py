@@ -11,8 +11,8 @@ from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
 from chamfer_morph.server import openapi
-from chamfer_morph.server.auth import Gate, is_loopback
-from chamfer_morph.server.context import Service
+from chamfer_morph.server.auth import Authenticator, is_loopback
+from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http import problems
 from chamfer_morph.server.routes import (
     catalog,
@@ -50,22 +50,24 @@ def create_app(settings: Settings) -> FastAPI:
     """The application; it connects when it starts, not when it is made.
 
     Args:
-        settings: Where to listen decides whether keys are needed, the rest is for the service.
+        settings: Where to listen decides whether keys are needed, the rest is for its endpoints.
     """
-    instruments = health.Instruments()
+    metrics = health.RequestMetrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        service = await anyio.to_thread.run_sync(Service.open, settings)
-        app.state.service = service
-        app.state.gate = Gate(service.keyring, open_without_keys=is_loopback(settings.host))
-        instruments.watch(service)
+        context = await anyio.to_thread.run_sync(ServerContext.open, settings)
+        app.state.context = context
+        app.state.authenticator = Authenticator(
+            context.api_keys, open_without_keys=is_loopback(settings.host)
+        )
+        metrics.observe_queue(context)
         try:
             yield
         finally:
-            service.watches.close()
-            service.end_children()
-            await anyio.to_thread.run_sync(service.close)
+            context.event_hub.close()
+            context.close_pools()
+            await anyio.to_thread.run_sync(context.close)
 
     app = FastAPIOffline(  # /docs works without a network
         title="morph",
@@ -76,13 +78,13 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
-    app.state.instruments = instruments
+    app.state.metrics = metrics
     problems.install(app)
     app.add_exception_handler(404, web_page.not_found)
-    app.add_middleware(health.MeasuringMiddleware, instruments)
+    app.add_middleware(health.MetricsMiddleware, metrics)
     v1 = APIRouter(prefix="/v1")
-    for room in ROUTERS:
-        v1.include_router(room.router)
+    for resource in ROUTERS:
+        v1.include_router(resource.router)
     app.include_router(v1)
     app.include_router(health.router)
     app.include_router(web_page.router)

@@ -1,4 +1,4 @@
-"""Who may call what: bearer keys, or nobody's key from the same machine."""
+"""Authentication: bearer keys, or none from the same machine."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from chamfer_morph.schemas import Scope
-from chamfer_morph.server.database.api_keys import Caller, Keyring, digest
+from chamfer_morph.server.database.api_keys import ApiKeyStore, Caller, secret_digest
 from chamfer_morph.server.http.problems import ProblemError
 
 CACHE_SECONDS = 1.0
 """A key revoked by another process works for so long."""
 
-NOBODY = Caller("", "admin")
+ANONYMOUS = Caller("", "admin")
 """The caller where no keys are needed."""
 
 BEARER = HTTPBearer(
@@ -43,42 +43,42 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Gate:
+class Authenticator:
     """Finds the caller of a request.
 
     Args:
-        keyring: The keys.
+        api_keys: The keys.
         open_without_keys: Whether no key is needed while there are none.
     """
 
-    def __init__(self, keyring: Keyring, *, open_without_keys: bool) -> None:
-        self._keyring = keyring
+    def __init__(self, api_keys: ApiKeyStore, *, open_without_keys: bool) -> None:
+        self._api_keys = api_keys
         self._open = open_without_keys
         self._callers: dict[str, Caller] = {}
         self._read_at = float("-inf")
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Read the keys again at the next request."""
         self._read_at = float("-inf")
 
-    async def caller(self, request: Request, secret: str | None) -> Caller:
+    async def authenticate(self, request: Request, secret: str | None) -> Caller:
         """The caller.
 
         Raises:
             ProblemError: 401 for a missing or wrong key, 403 for a foreign page or host name.
         """
         if time.monotonic() - self._read_at > CACHE_SECONDS:
-            self._callers = await anyio.to_thread.run_sync(self._keyring.callers)
+            self._callers = await anyio.to_thread.run_sync(self._api_keys.callers)
             self._read_at = time.monotonic()
         if secret is not None:
-            return self._known(secret)
+            return self._find(secret)
         if self._callers or not self._open:
             raise _unauthorized("This needs a key.")
         _check_local(request)
-        return NOBODY
+        return ANONYMOUS
 
-    def _known(self, secret: str) -> Caller:
-        wanted = digest(secret)
+    def _find(self, secret: str) -> Caller:
+        wanted = secret_digest(secret)
         for stored, caller in self._callers.items():
             if hmac.compare_digest(stored, wanted):
                 return caller
@@ -94,9 +94,9 @@ def require(scope: Scope) -> Callable[..., Awaitable[Caller]]:
     ) -> Caller:
         if key is None and "authorization" in request.headers:
             raise _unauthorized("The Authorization header holds no bearer key.")
-        gate: Gate = request.app.state.gate
-        found = await gate.caller(request, key.credentials if key else None)
-        if not found.may(scope):
+        authenticator: Authenticator = request.app.state.authenticator
+        found = await authenticator.authenticate(request, key.credentials if key else None)
+        if not found.has_scope(scope):
             raise ProblemError(
                 403,
                 f"The key {found.name!r} lacks the scope {scope}.",

@@ -1,4 +1,4 @@
-"""What the endpoints share: settings, files, queue, tables, watched jobs."""
+"""What the endpoints share: settings, files, queue, tables, event streams."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import sqlalchemy as sa
 from fastapi import Depends, Request
 
 from chamfer_morph.server.database import tables
-from chamfer_morph.server.database.api_keys import Keyring
+from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.sweeps import SweepStore
-from chamfer_morph.server.event_hub import Watches
+from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.export_tasks import ExportTasks
 from chamfer_morph.server.previews import Previews
-from chamfer_morph.server.quotas import Limits
+from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import Derivations
 from chamfer_morph.worker.queue import JobQueue, database
 from chamfer_morph.worker.settings import Settings
@@ -36,26 +36,26 @@ EXPORTS = 1
 
 
 @dataclass(frozen=True)
-class Service:
+class ServerContext:
     """Everything an endpoint may need; one for each application."""
 
     settings: Settings
     storage: Storage
     queue: JobQueue
     engine: sa.Engine
-    keyring: Keyring
+    api_keys: ApiKeyStore
     meshes: MeshStore
     sweeps: SweepStore
-    limits: Limits
-    watches: Watches
-    inspections: anyio.CapacityLimiter
-    computations: anyio.CapacityLimiter
+    quotas: Quotas
+    event_hub: EventHub
+    inspection_limiter: anyio.CapacityLimiter
+    compute_limiter: anyio.CapacityLimiter
     previews: Previews
     surfaces: Derivations
     exports: ExportTasks
 
     @classmethod
-    def open(cls, settings: Settings) -> Service:
+    def open(cls, settings: Settings) -> ServerContext:
         """Connect, and create what is missing in the database and the data directory."""
         storage = Storage(settings.data_dir)
         queue = JobQueue(settings)
@@ -68,25 +68,25 @@ class Service:
             storage=storage,
             queue=queue,
             engine=engine,
-            keyring=Keyring(engine),
+            api_keys=ApiKeyStore(engine),
             meshes=meshes,
             sweeps=SweepStore(engine),
-            limits=Limits(settings, storage, queue, meshes),
-            watches=Watches(queue, storage, settings.watchers),
-            inspections=anyio.CapacityLimiter(INSPECTIONS),
-            computations=anyio.CapacityLimiter(COMPUTATIONS),
+            quotas=Quotas(settings, storage, queue, meshes),
+            event_hub=EventHub(queue, storage, settings.watchers),
+            inspection_limiter=anyio.CapacityLimiter(INSPECTIONS),
+            compute_limiter=anyio.CapacityLimiter(COMPUTATIONS),
             previews=Previews(settings, PREVIEWS),
             surfaces=Derivations(SURFACES),
             exports=ExportTasks(EXPORTS),
         )
 
-    def end_derived(self, job_id: str) -> None:
+    def cancel_computations(self, job_id: str) -> None:
         """End what is being computed from the frames of a job, which go."""
         folder = self.storage.derived_dir(job_id)
         self.surfaces.end(folder)
         self.exports.end(folder)
 
-    def end_children(self) -> None:
+    def close_pools(self) -> None:
         """End what is being computed."""
         self.surfaces.close()
         self.exports.close()
@@ -97,9 +97,9 @@ class Service:
         self.engine.dispose()
 
 
-async def _service(request: Request) -> Service:
-    service: Service = request.app.state.service
-    return service
+async def _context(request: Request) -> ServerContext:
+    context: ServerContext = request.app.state.context
+    return context
 
 
-Services = Annotated[Service, Depends(_service)]
+Context = Annotated[ServerContext, Depends(_context)]

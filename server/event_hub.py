@@ -1,7 +1,7 @@
-"""Watched jobs: one task looks after all of them, however many watch.
+"""Event streams: one task polls every job that is followed, however many follow it.
 
 It asks the database for all their states at once and reads what their logs have grown by. An event
-is encoded once, for all who watch that job.
+is encoded once, for all subscribers of that job.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import Storage
 
-LOOK_SECONDS = 0.15
+POLL_SECONDS = 0.15
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
 BATCH = 256
@@ -32,18 +32,18 @@ BATCH = 256
 _LOG = logging.getLogger(__name__)
 
 
-class Watch:
-    """A watched job.
+class JobFeed:
+    """The events of one job.
 
     Attributes:
-        state: Its state, None before the first look and once it is gone.
-        watchers: How many watch it.
-        ready: Set once it has been looked at.
+        state: Its state, None before the first poll and once it is gone.
+        subscribers: How many streams send it.
+        ready: Set once it has been read.
     """
 
     def __init__(self, log: EventLog) -> None:
         self.state: JobState | None = None
-        self.watchers = 0
+        self.subscribers = 0
         self.ready = asyncio.Event()
         self._changed = asyncio.Event()
         self._log = log
@@ -52,37 +52,37 @@ class Watch:
         self._encoded: list[bytes] = []
         self._next: tuple[JobState | None, list[int], list[bytes], bool] | None = None
 
-    def look(self, state: JobState | None) -> None:
+    def read(self, state: JobState | None) -> None:
         """Read what is new; the state was asked for before, so a final one has all its events."""
         try:
             size = os.stat(self._log.path).st_size
         except FileNotFoundError:
             size = 0
-        again = size < self._size  # the job began anew
+        restarted = size < self._size  # the job began anew
         ids: list[int] = []
         encoded: list[bytes] = []
         if size != self._size:
-            after = self._ids[-1] if self._ids and not again else 0
+            after = self._ids[-1] if self._ids and not restarted else 0
             for event in self._log.read(after, limit=1 << 30):
                 ids.append(event.id)
                 encoded.append(
-                    encode(
+                    encode_event(
                         Event.model_validate(
                             {"id": event.id, "type": event.type, "at": event.at, "data": event.data}
                         )
                     )
                 )
-        if ids or again or state is not self.state or not self.ready.is_set():
-            self._next = state, ids, encoded, again
+        if ids or restarted or state is not self.state or not self.ready.is_set():
+            self._next = state, ids, encoded, restarted
         self._size = size
 
     def publish(self) -> None:
-        """Let the watchers see what the last look has found."""
+        """Let the subscribers see what the last read has found."""
         if self._next is None:
             return
-        state, ids, encoded, again = self._next
+        state, ids, encoded, restarted = self._next
         self._next = None
-        if again:
+        if restarted:
             self._ids.clear()
             self._encoded.clear()
         self._ids += ids
@@ -92,7 +92,7 @@ class Watch:
         self.wake()
 
     def wake(self) -> None:
-        """Let the watchers look."""
+        """Wake the subscribers."""
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -100,7 +100,7 @@ class Watch:
         """Encoded events after an id, until the job rests, and its states as they change."""
         await self.ready.wait()
         yield f"retry: {RECONNECT_MILLISECONDS}\n\n".encode()
-        told: JobState | None = None
+        sent_state: JobState | None = None
         while not closing.is_set():
             changed, state = self._changed, self.state
             last = self._ids[-1] if self._ids else 0
@@ -113,9 +113,9 @@ class Watch:
                 continue
             if state is None:
                 return
-            if state is not told:
-                told = state
-                yield encode(state_event(after, state))
+            if state is not sent_state:
+                sent_state = state
+                yield encode_event(state_event(after, state))
             if state.finished:
                 return
             try:
@@ -125,36 +125,36 @@ class Watch:
                 yield KEEPALIVE_COMMENT
 
 
-class Watches:
-    """All watched jobs.
+class EventHub:
+    """All event streams.
 
     Args:
         queue: Knows their states.
         storage: Has their logs.
-        limit: Watchers at the same time.
+        limit: Subscribers at the same time.
     """
 
     def __init__(self, queue: JobQueue, storage: Storage, limit: int) -> None:
         self._queue = queue
         self._storage = storage
         self._limit = limit
-        self._watches: dict[str, Watch] = {}
+        self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
         self._thread = anyio.CapacityLimiter(1)
         self.closing = asyncio.Event()
 
     @property
-    def watchers(self) -> int:
-        """Watchers at this moment."""
-        return sum(watch.watchers for watch in self._watches.values())
+    def subscribers(self) -> int:
+        """Subscribers at this moment."""
+        return sum(feed.subscribers for feed in self._feeds.values())
 
-    def check_room(self) -> None:
-        """Refuse one watcher too many.
+    def check_capacity(self) -> None:
+        """Refuse one subscriber too many.
 
         Raises:
             ProblemError: 429.
         """
-        if self.watchers >= self._limit:
+        if self.subscribers >= self._limit:
             raise ProblemError(
                 429,
                 f"{self._limit} event streams are open already.",
@@ -164,49 +164,49 @@ class Watches:
 
     async def stream(self, job_id: str, after: int) -> AsyncIterator[bytes]:
         """The events of a job as server-sent events, until it rests."""
-        async with self._watching(job_id) as watch:
-            async for encoded in watch.events(after, self.closing):
+        async with self._subscribed(job_id) as feed:
+            async for encoded in feed.events(after, self.closing):
                 yield encoded
 
     def close(self) -> None:
-        """End all streams; whoever watches comes back to the next process."""
+        """End all streams; a subscriber reconnects to the next process."""
         self.closing.set()
-        for watch in self._watches.values():
-            watch.ready.set()
-            watch.wake()
+        for feed in self._feeds.values():
+            feed.ready.set()
+            feed.wake()
 
     @asynccontextmanager
-    async def _watching(self, job_id: str) -> AsyncIterator[Watch]:
-        watch = self._watches.setdefault(job_id, Watch(self._storage.events(job_id)))
-        watch.watchers += 1
+    async def _subscribed(self, job_id: str) -> AsyncIterator[JobFeed]:
+        feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
+        feed.subscribers += 1
         if self._task is None or self._task.done():
-            self._task = asyncio.create_task(self._look_on())
+            self._task = asyncio.create_task(self._poll())
         try:
-            yield watch
+            yield feed
         finally:
-            watch.watchers -= 1
-            if not watch.watchers:
-                self._watches.pop(job_id, None)
+            feed.subscribers -= 1
+            if not feed.subscribers:
+                self._feeds.pop(job_id, None)
 
-    async def _look_on(self) -> None:
-        while self._watches and not self.closing.is_set():
-            watches = dict(self._watches)
+    async def _poll(self) -> None:
+        while self._feeds and not self.closing.is_set():
+            feeds = dict(self._feeds)
             try:
-                await anyio.to_thread.run_sync(self._look, watches, limiter=self._thread)
+                await anyio.to_thread.run_sync(self._read_all, feeds, limiter=self._thread)
             except Exception:
-                _LOG.warning("watched jobs cannot be looked at now", exc_info=True)
+                _LOG.warning("events cannot be read now", exc_info=True)
                 await asyncio.sleep(1)
-            for watch in watches.values():
-                watch.publish()
-            await asyncio.sleep(LOOK_SECONDS)
+            for feed in feeds.values():
+                feed.publish()
+            await asyncio.sleep(POLL_SECONDS)
 
-    def _look(self, watches: dict[str, Watch]) -> None:
-        states = self._queue.states(watches)
-        for job_id, watch in watches.items():
-            watch.look(states.get(job_id))
+    def _read_all(self, feeds: dict[str, JobFeed]) -> None:
+        states = self._queue.states(feeds)
+        for job_id, feed in feeds.items():
+            feed.read(states.get(job_id))
 
 
-def encode(event: Event) -> bytes:
+def encode_event(event: Event) -> bytes:
     """An event as a server-sent event."""
     return format_sse_event(data_str=event.model_dump_json(), event=event.type, id=str(event.id))
 

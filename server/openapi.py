@@ -18,7 +18,7 @@ from chamfer_morph.schemas import (
     SweepRequest,
     ids,
 )
-from chamfer_morph.server.http.problems import KINDS, MEDIA_TYPE
+from chamfer_morph.server.http.problems import MEDIA_TYPE, PROBLEM_TYPES
 from morph_engine import methods, presets
 from morph_engine.geometry import shapes
 from morph_engine.geometry.shapes import TEXT_LIMIT, TEXT_PREFIX
@@ -108,7 +108,7 @@ def document(app: FastAPI) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     _name_choices(schemas)
-    found["components"]["responses"] = {str(status): _problem(status) for status in KINDS}
+    found["components"]["responses"] = {str(status): _problem(status) for status in PROBLEM_TYPES}
     for path, item in found["paths"].items():
         for method, operation in item.items():
             _complete(operation, path, method)
@@ -165,7 +165,7 @@ def _link(operations: list[dict[str, Any]]) -> None:
 
 
 def _problem(status: int) -> dict[str, Any]:
-    kind, title = KINDS[status]
+    kind, title = PROBLEM_TYPES[status]
     schema = {"$ref": "#/components/schemas/ProblemDocument"}
     example = {
         "type": f"/problems/{kind}",

@@ -1,4 +1,4 @@
-"""How much a key may keep and ask for."""
+"""Quotas: how much a key may keep and ask for."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ DISK_SECONDS = 30.0
 PAGE = 1000
 
 
-class Limits:
-    """The limits of each key. Calls block.
+class Quotas:
+    """The quotas of each key. Calls block.
 
     Args:
         settings: The limits.
@@ -79,7 +79,7 @@ class Limits:
         Raises:
             ProblemError: 413.
         """
-        used, limit = self.disk_bytes(owner), self._settings.disk_bytes_per_key
+        used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
             raise ProblemError(
                 413,
@@ -89,17 +89,17 @@ class Limits:
                 headers={"Retry-After": "60"},
             )
 
-    def room(self, owner: str) -> int:
+    def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].
 
         Raises:
             ProblemError: 413, there is none.
         """
-        self.measure_again(owner)
+        self.invalidate(owner)
         self.check_disk(owner)
-        return max(self._settings.disk_bytes_per_key - self.disk_bytes(owner), 0)
+        return max(self._settings.disk_bytes_per_key - self.used_bytes(owner), 0)
 
-    def disk_bytes(self, owner: str) -> int:
+    def used_bytes(self, owner: str) -> int:
         """Disk that a key fills, measured within the last half minute [bytes]."""
         with self._lock:
             measured_at, used = self._disk.get(owner, (float("-inf"), 0))
@@ -108,7 +108,7 @@ class Limits:
                 self._disk[owner] = (time.monotonic(), used)
             return used
 
-    def measure_again(self, owner: str) -> None:
+    def invalidate(self, owner: str) -> None:
         """Something of this key has been made or deleted."""
         self._disk.pop(owner, None)
 

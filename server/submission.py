@@ -11,7 +11,7 @@ from typing import Any
 
 from chamfer_morph.schemas import JobRequest, MeshShape, Shape
 from chamfer_morph.schemas.ids import derived_id
-from chamfer_morph.server.context import Service
+from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.job import JobSpec
@@ -41,7 +41,7 @@ class Submission:
     priority: int
 
 
-def prepare(request: JobRequest, caller: Caller, service: Service) -> Submission:
+def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Submission:
     """Resolve a request.
 
     Raises:
@@ -49,16 +49,16 @@ def prepare(request: JobRequest, caller: Caller, service: Service) -> Submission
         ProblemError: 422, a mesh is unknown.
     """
     config = configure(request)
-    particles, source_name = _shape("source", request.source, config, caller, service)
-    targets, target_name = _shape("target", request.target, config, caller, service)
+    particles, source_name = _shape("source", request.source, config, caller, context)
+    targets, target_name = _shape("target", request.target, config, caller, context)
     expected = estimate(
         particles,
         targets,
         config.frames,
         method=config.method,
-        threads=service.settings.threads or None,
+        threads=context.settings.threads or None,
     )
-    limit = service.settings.job_timeout_seconds
+    limit = context.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,
         target=request.target,
@@ -113,7 +113,7 @@ def submit(
     *,
     job_id: str,
     caller: Caller,
-    service: Service,
+    context: ServerContext,
     sweep: str | None = None,
 ) -> tuple[JobRecord, bool]:
     """Queue a job, once.
@@ -124,7 +124,7 @@ def submit(
     Raises:
         ProblemError: 422, the id belongs to another request.
     """
-    new = service.queue.enqueue(
+    new = context.queue.enqueue(
         submission.spec,
         job_id=job_id,
         owner=caller.name,
@@ -133,15 +133,15 @@ def submit(
         priority=submission.priority,
         attributes=submission.attributes,
     )
-    record = service.queue.get(job_id)
+    record = context.queue.get(job_id)
     if record is None:
         raise ProblemError(409, "The job has been deleted meanwhile.", "Submit it again.")
     if not new and record.attributes.get("body") != submission.attributes["body"]:
-        raise key_reused()
+        raise idempotency_conflict()
     return record, new
 
 
-def repeated_id(kind: str, caller: Caller, key: str) -> str:
+def idempotent_id(kind: str, caller: Caller, key: str) -> str:
     """The id that an idempotency key of a caller stands for."""
     return derived_id(f"{kind}\0{caller.name}\0{key}")
 
@@ -151,7 +151,7 @@ def body_digest(body: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def key_reused() -> ProblemError:
+def idempotency_conflict() -> ProblemError:
     """The same idempotency key came with another request."""
     return ProblemError(
         422,
@@ -160,24 +160,24 @@ def key_reused() -> ProblemError:
     )
 
 
-def shape_name(shape: Shape, caller: Caller, service: Service) -> str:
+def shape_name(shape: Shape, caller: Caller, context: ServerContext) -> str:
     """What a user calls a shape."""
     if not isinstance(shape, MeshShape):
         return shape.shape
-    row = service.meshes.get(caller.reach, shape.mesh)
+    row = context.meshes.get(caller.owner_filter, shape.mesh)
     return row.name if row else shape.mesh[:12]
 
 
 def _shape(
-    role: str, shape: Shape, config: MorphConfig, caller: Caller, service: Service
+    role: str, shape: Shape, config: MorphConfig, caller: Caller, context: ServerContext
 ) -> tuple[int, str]:
     """About how many particles a shape takes, and its name."""
     per_unit = config.sampling.points_per_cell_edge**3
     if not isinstance(shape, MeshShape):
         _check_built_in(shape.shape)
         return round(REFERENCE_VOLUME * per_unit), shape.shape
-    row = service.meshes.get(caller.reach, shape.mesh)
-    if row is None or service.storage.mesh_file(shape.mesh) is None:
+    row = context.meshes.get(caller.owner_filter, shape.mesh)
+    if row is None or context.storage.mesh_file(shape.mesh) is None:
         raise ProblemError(
             422,
             f"There is no mesh {shape.mesh}.",
@@ -186,7 +186,7 @@ def _shape(
         )
     if config.sampling.fit != "none":
         return round(REFERENCE_VOLUME * per_unit), row.name
-    report = service.storage.mesh_report(shape.mesh)
+    report = context.storage.mesh_report(shape.mesh)
     reach = max(abs(x) for corner in report["bounds"] for x in corner)
     remedy = 'Scale it with the override "sampling.fit": "volume".'
     if reach > config.domain:

@@ -14,7 +14,7 @@ from chamfer_morph.schemas import Key, Scope
 from chamfer_morph.server.database.tables import KEYS, as_time, now
 
 PREFIX = "morph_"
-ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
+SCOPE_ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
 """Each scope includes those before it."""
 
 
@@ -30,21 +30,21 @@ class Caller:
     name: str
     scope: Scope
 
-    def may(self, scope: Scope) -> bool:
+    def has_scope(self, scope: Scope) -> bool:
         """Whether the key includes a scope."""
-        return ORDER.index(scope) <= ORDER.index(self.scope)
+        return SCOPE_ORDER.index(scope) <= SCOPE_ORDER.index(self.scope)
 
-    def sees(self, owner: str) -> bool:
+    def can_see(self, owner: str) -> bool:
         """Whether the key may see what an owner made."""
-        return self.name == owner or self.may("admin")
+        return self.name == owner or self.has_scope("admin")
 
     @property
-    def reach(self) -> str | None:
-        """Owner whose things this key lists; None for everybody's."""
-        return None if self.may("admin") else self.name
+    def owner_filter(self) -> str | None:
+        """The owner whose things this key may list; None for everybody's."""
+        return None if self.has_scope("admin") else self.name
 
 
-class Keyring:
+class ApiKeyStore:
     """The keys in the database. Calls block.
 
     Args:
@@ -60,7 +60,7 @@ class Keyring:
             rows = connection.execute(sa.select(KEYS.c.digest, KEYS.c.name, KEYS.c.scopes)).all()
         return {row.digest: Caller(row.name, _widest(row.scopes.split())) for row in rows}
 
-    def keys(self) -> list[Key]:
+    def all(self) -> list[Key]:
         """All keys, the oldest first."""
         with self._engine.connect() as connection:
             rows = connection.execute(sa.select(KEYS).order_by(KEYS.c.created_at)).all()
@@ -73,11 +73,11 @@ class Keyring:
             The key and its secret, which is shown this once; None if the name is taken.
         """
         secret = PREFIX + secrets.token_urlsafe(32)
-        ordered = [scope for scope in ORDER if scope in scopes]
+        ordered = [scope for scope in SCOPE_ORDER if scope in scopes]
         created_at = now()
         row = {
             "name": name,
-            "digest": digest(secret),
+            "digest": secret_digest(secret),
             "scopes": " ".join(ordered),
             "created_at": created_at,
         }
@@ -94,13 +94,13 @@ class Keyring:
             return bool(connection.execute(KEYS.delete().where(KEYS.c.name == name)).rowcount)
 
 
-def digest(secret: str) -> str:
+def secret_digest(secret: str) -> str:
     """What is stored of a secret: its SHA-256, enough for 32 random bytes."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def _widest(scopes: Collection[str]) -> Scope:
-    return next((scope for scope in reversed(ORDER) if scope in scopes), "read")
+    return next((scope for scope in reversed(SCOPE_ORDER) if scope in scopes), "read")
 
 
 def _key(row: sa.Row[tuple[object, ...]]) -> Key:

@@ -1,4 +1,4 @@
-"""Points as bytes: float32, 16-bit levels, PLY, NumPy; headers tell how to read them."""
+"""Arrays of points as bytes: float32, 16-bit levels, PLY, NumPy; headers tell how to read them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fastapi import Request, Response
 from numpy.typing import NDArray
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server.http.conditional import file_answer
+from chamfer_morph.server.http.conditional import bytes_response
 
 BYTES = "application/octet-stream"
 PLY = "application/x-ply"
@@ -21,18 +21,20 @@ LEVELS = 65535
 BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
 
 
-def described(what: str, **headers: tuple[str, str]) -> dict[int | str, dict[str, Any]]:
+def array_responses(
+    description: str, **headers: tuple[str, str]
+) -> dict[int | str, dict[str, Any]]:
     """The contract of an answer that holds points.
 
     Args:
-        what: What they are.
+        description: What they are.
         **headers: Further headers by name, with _ for -: the JSON type of each and its meaning.
     """
     named = {
         "Morph-Particles": ("integer", "Number of points."),
         "Morph-Offset": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
         "Morph-Scale": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
-    } | {name.replace("_", "-"): told for name, told in headers.items()}
+    } | {name.replace("_", "-"): meaning for name, meaning in headers.items()}
     return {
         200: {
             "content": {BYTES: BINARY, PLY: BINARY, NPY: BINARY},
@@ -40,13 +42,13 @@ def described(what: str, **headers: tuple[str, str]) -> dict[int | str, dict[str
                 name: {"schema": {"type": kind}, "description": meaning}
                 for name, (kind, meaning) in named.items()
             },
-            "description": what,
+            "description": description,
         },
         304: {"description": "You have it already."},
     }
 
 
-def answer(
+def array_response(
     request: Request,
     positions: NDArray[np.float32],
     format: FrameFormat,
@@ -62,14 +64,16 @@ def answer(
         extent: Half edge of the domain [grid units].
         headers: Further headers.
     """
-    body, media_type = encode(positions, format, extent)
-    told = {"Morph-Particles": str(len(positions)), **headers}
+    body, media_type = encode_positions(positions, format, extent)
+    all_headers = {"Morph-Particles": str(len(positions)), **headers}
     if format == "u16":
-        told |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / LEVELS)}
-    return file_answer(request, body, media_type, told)
+        all_headers |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / LEVELS)}
+    return bytes_response(request, body, media_type, all_headers)
 
 
-def encode(positions: NDArray[np.float32], format: FrameFormat, extent: float) -> tuple[bytes, str]:
+def encode_positions(
+    positions: NDArray[np.float32], format: FrameFormat, extent: float
+) -> tuple[bytes, str]:
     """Positions as bytes.
 
     Args:

@@ -7,16 +7,16 @@ from collections.abc import Mapping
 
 from fastapi import Request, Response
 
-CACHING = "private, no-cache"
+CACHE_CONTROL = "private, no-cache"
 """A browser keeps the answer, and asks each time whether it still holds."""
 
 
-def tagged(etag: str) -> dict[str, str]:
+def etag_headers(etag: str) -> dict[str, str]:
     """Headers of an answer of which this is the version."""
-    return {"ETag": f'"{etag}"', "Cache-Control": CACHING}
+    return {"ETag": f'"{etag}"', "Cache-Control": CACHE_CONTROL}
 
 
-def unchanged(request: Request, headers: Mapping[str, str]) -> Response | None:
+def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
     """That the caller has the version with these headers already, if so."""
     wanted = request.headers.get("if-none-match", "")
     tags = {tag.strip().removeprefix("W/") for tag in wanted.split(",")}
@@ -24,9 +24,11 @@ def unchanged(request: Request, headers: Mapping[str, str]) -> Response | None:
     return Response(status_code=304, headers=dict(headers)) if known else None
 
 
-def file_answer(
+def bytes_response(
     request: Request, body: bytes, media_type: str, headers: Mapping[str, str] | None = None
 ) -> Response:
     """Bytes, of which the digest is the version, unless the caller has them."""
-    told = tagged(hashlib.sha256(body).hexdigest()) | dict(headers or {})
-    return unchanged(request, told) or Response(body, headers=told, media_type=media_type)
+    all_headers = etag_headers(hashlib.sha256(body).hexdigest()) | dict(headers or {})
+    return not_modified(request, all_headers) or Response(
+        body, headers=all_headers, media_type=media_type
+    )

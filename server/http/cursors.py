@@ -18,16 +18,16 @@ Cursor = Annotated[
 ]
 
 
-def encode(age: int, name: str) -> str:
+def encode_cursor(age: int, name: str) -> str:
     """A cursor behind an item of an age [any unit since 1970] and a name."""
     return base64.urlsafe_b64encode(json.dumps([age, name]).encode()).decode().rstrip("=")
 
 
-def decode(cursor: str | None) -> tuple[int, str] | None:
+def decode_cursor(cursor: str | None) -> tuple[int, str] | None:
     """The age and the name in a cursor; None for the first page.
 
     Raises:
-        ProblemError: 422, it was not made by `encode`.
+        ProblemError: 422, it was not made by `encode_cursor`.
     """
     if cursor is None:
         return None

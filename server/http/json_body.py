@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import Request
 
 from chamfer_morph.server.http.body import chunks, media_type
-from chamfer_morph.server.http.problems import ProblemError, invalid
+from chamfer_morph.server.http.problems import ProblemError, validation_problem
 from chamfer_morph.worker.settings import Settings
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -65,7 +65,7 @@ def validate(value: object, model: type[Model]) -> Model:
     try:
         return model.model_validate(value)
     except ValidationError as error:
-        raise invalid(error) from None
+        raise validation_problem(error) from None
 
 
 def _refuse_constant(name: str) -> NoReturn:

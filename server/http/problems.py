@@ -21,7 +21,7 @@ from morph_engine.errors import MorphError
 
 MEDIA_TYPE = "application/problem+json"
 
-KINDS: dict[int, tuple[str, str]] = {
+PROBLEM_TYPES: dict[int, tuple[str, str]] = {
     400: ("malformed", "The request cannot be read"),
     401: ("unauthorized", "A valid key is needed"),
     403: ("forbidden", "The key does not allow this"),
@@ -44,7 +44,7 @@ class ProblemError(Exception):
     """An answer other than the one asked for.
 
     Args:
-        status: HTTP status, one of `KINDS`.
+        status: HTTP status, one of `PROBLEM_TYPES`.
         detail: What is wrong.
         remedy: What to do about it.
         headers: Further headers of the answer.
@@ -69,7 +69,9 @@ class ProblemError(Exception):
 
     def document(self) -> ProblemDocument:
         """The body of the answer."""
-        name, title = KINDS.get(self.status, KINDS[400 if self.status < 500 else 500])
+        name, title = PROBLEM_TYPES.get(
+            self.status, PROBLEM_TYPES[400 if self.status < 500 else 500]
+        )
         return ProblemDocument(
             type=f"/problems/{name}",
             title=title,
@@ -90,17 +92,17 @@ def not_found(what: str, name: str) -> ProblemError:
     return ProblemError(404, f"There is no {what} {name[:80]!r}.", "Check the id, and the key.")
 
 
-def invalid(error: ValidationError | RequestValidationError) -> ProblemError:
+def validation_problem(error: ValidationError | RequestValidationError) -> ProblemError:
     """Fields that are missing, unknown or out of range."""
     faults = [
         {"loc": list(fault["loc"]), "msg": fault["msg"], "type": fault["type"]}
         for fault in error.errors()
     ]
     first = faults[0]
-    place = ".".join(str(part) for part in first["loc"])
+    location = ".".join(str(part) for part in first["loc"])
     return ProblemError(
         422,
-        f"{place}: {first['msg']}." if place else f"{first['msg']}.",
+        f"{location}: {first['msg']}." if location else f"{first['msg']}.",
         "See /docs for the fields and their ranges.",
         errors=faults,
     )
@@ -112,7 +114,7 @@ def install(app: FastAPI) -> None:
     async def problem(request: Request, error: Exception) -> Response:
         found = as_problem(error)
         if found.status == 405:
-            found.headers["Allow"] = ", ".join(_methods(app, request.url.path))
+            found.headers["Allow"] = ", ".join(_allowed_methods(app, request.url.path))
         return found.response()
 
     for kind in (
@@ -136,9 +138,9 @@ def as_problem(error: Exception) -> ProblemError:
     if isinstance(error, MorphError):
         return ProblemError(422, error.cause, error.remedy)
     if isinstance(error, RequestValidationError):
-        return invalid(error)
+        return validation_problem(error)
     if isinstance(error, HTTPException):
-        return _plain(error.status_code, str(error.detail), error.headers)
+        return _http_problem(error.status_code, str(error.detail), error.headers)
     if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
         return ProblemError(
             503,
@@ -153,7 +155,7 @@ def as_problem(error: Exception) -> ProblemError:
     )
 
 
-def _methods(app: FastAPI, path: str) -> list[str]:
+def _allowed_methods(app: FastAPI, path: str) -> list[str]:
     """All methods of an address; the framework names those of the first route it finds."""
     return sorted(
         {
@@ -166,7 +168,7 @@ def _methods(app: FastAPI, path: str) -> list[str]:
     )
 
 
-def _plain(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
+def _http_problem(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
     remedies = {
         404: "See /docs for the addresses there are.",
         405: "See /docs for the methods of this address.",
@@ -199,13 +201,15 @@ class ProblemMiddleware:
                 }
                 if headers.get("content-type", "text/plain").startswith("text/plain"):
                     replaced = True
-                    kept = {
+                    kept_headers = {
                         name: value
                         for name, value in headers.items()
                         if name in ("allow", "content-range", "retry-after", "www-authenticate")
                     }
-                    _, title = KINDS.get(message["status"], KINDS[400])
-                    await _plain(message["status"], title, kept).response()(scope, receive, send)
+                    _, title = PROBLEM_TYPES.get(message["status"], PROBLEM_TYPES[400])
+                    await _http_problem(message["status"], title, kept_headers).response()(
+                        scope, receive, send
+                    )
                     return
             if not replaced:
                 await send(message)

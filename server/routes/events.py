@@ -9,9 +9,9 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
 from chamfer_morph.schemas import Event, EventPage
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
+from chamfer_morph.server.routes import job_lookup
 from chamfer_morph.worker.queue import JobRecord
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["events"])
@@ -36,7 +36,7 @@ async def get_events(
     job_id: str,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     after: Annotated[
         int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")
     ] = 0,
@@ -51,26 +51,26 @@ async def get_events(
     same JSON as in a page; the stream ends once the job rests, after a last `state` event. A
     stream that breaks off goes on with `Last-Event-ID`.
     """
-    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
-    if wants_stream(request.headers.get("accept", "")):
-        service.watches.check_room()
+    if accepts_stream(request.headers.get("accept", "")):
+        context.event_hub.check_capacity()
         return EventSourceResponse(
-            service.watches.stream(record.id, after),
+            context.event_hub.stream(record.id, after),
             headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
         )
-    return await anyio.to_thread.run_sync(_page, record, after, limit, service)
+    return await anyio.to_thread.run_sync(_page, record, after, limit, context)
 
 
-def wants_stream(accept: str) -> bool:
+def accepts_stream(accept: str) -> bool:
     """Whether an Accept header asks for server-sent events."""
     return any(part.partition(";")[0].strip().lower() == SSE for part in accept.split(","))
 
 
-def _page(record: JobRecord, after: int, limit: int, service: Service) -> EventPage:
+def _page(record: JobRecord, after: int, limit: int, context: ServerContext) -> EventPage:
     """Events of the log; the state was read before, so a final one has all its events."""
-    logged = service.storage.events(record.id).read(after, limit)
+    logged = context.storage.events(record.id).read(after, limit)
     items = [
         Event.model_validate({"id": e.id, "type": e.type, "at": e.at, "data": e.data})
         for e in logged

@@ -12,14 +12,14 @@ from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import Export, ExportFormat, ExportRequest
 from chamfer_morph.schemas.ids import derived_id, is_id
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader, Submitter
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.array_encoding import BINARY
-from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.json_body import read_json
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.routes import job_lookup, job_view
 from chamfer_morph.server.submission import body_digest
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
@@ -97,38 +97,38 @@ def list_formats(caller: Reader) -> list[ExportFormat]:
     openapi_extra=BODY,
 )
 async def export_job(
-    job_id: str, request: Request, response: Response, caller: Submitter, service: Services
+    job_id: str, request: Request, response: Response, caller: Submitter, context: Context
 ) -> Export:
     """Have frames of a finished job written in another format. The same request is one export.
 
     Several frames in a format that holds one frame a file make a zip archive.
     """
-    wanted = await read_json(request, ExportRequest, service.settings)
-    record, result = await anyio.to_thread.run_sync(_find_result, job_id, caller, service)
+    wanted = await read_json(request, ExportRequest, context.settings)
+    record, result = await anyio.to_thread.run_sync(_find_result, job_id, caller, context)
     order = await anyio.to_thread.run_sync(_order, wanted, record, result)
-    folder = service.storage.exports_dir(job_id)
+    folder = context.storage.exports_dir(job_id)
     kept = await anyio.to_thread.run_sync(KeptExport.find, folder, order.id)
     if kept is None:
-        await anyio.to_thread.run_sync(service.limits.check_disk, record.owner)
-        room = partial(service.limits.room, record.owner)
-        make = partial(make_export, service.storage, job_id, order, service.settings, room)
-        service.exports.start(folder / order.id, record.owner, make)
+        await anyio.to_thread.run_sync(context.quotas.check_disk, record.owner)
+        available = partial(context.quotas.available_bytes, record.owner)
+        make = partial(make_export, context.storage, job_id, order, context.settings, available)
+        context.exports.start(folder / order.id, record.owner, make)
     response.status_code = 200 if kept else 202
     response.headers["Location"] = f"/v1/jobs/{job_id}/exports/{order.id}"
     response.headers["Retry-After"] = RETRY_AFTER
-    return _show(job_id, order.id, service)[0]
+    return _show(job_id, order.id, context)[0]
 
 
 @router.get(
     "/jobs/{job_id}/exports/{export_id}", operation_id="getExport", summary="Show an export"
 )
-def get_export(job_id: str, export_id: str, caller: Reader, service: Services) -> Export:
+def get_export(job_id: str, export_id: str, caller: Reader, context: Context) -> Export:
     """How far an export has come.
 
     One that was under way when the service stopped is not there any more; ask for it again.
     """
-    job_representation.find(job_id, caller, service)
-    return _show(job_id, export_id, service)[0]
+    job_lookup.find_job(job_id, caller, context)
+    return _show(job_id, export_id, context)[0]
 
 
 @router.delete(
@@ -137,15 +137,15 @@ def get_export(job_id: str, export_id: str, caller: Reader, service: Services) -
     operation_id="deleteExport",
     summary="Delete an export",
 )
-async def delete_export(job_id: str, export_id: str, caller: Submitter, service: Services) -> None:
+async def delete_export(job_id: str, export_id: str, caller: Submitter, context: Context) -> None:
     """End an export that is under way, or remove its file."""
-    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
-    _, kept = await anyio.to_thread.run_sync(_show, job_id, export_id, service)
-    folder = service.storage.exports_dir(job_id)
-    service.exports.end(folder / export_id)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
+    _, kept = await anyio.to_thread.run_sync(_show, job_id, export_id, context)
+    folder = context.storage.exports_dir(job_id)
+    context.exports.end(folder / export_id)
     if kept is not None:
         await anyio.to_thread.run_sync(kept.remove, folder, export_id)
-        service.limits.measure_again(record.owner)
+        context.quotas.invalidate(record.owner)
 
 
 @router.get(
@@ -160,31 +160,31 @@ async def delete_export(job_id: str, export_id: str, caller: Submitter, service:
     },
 )
 def get_export_file(
-    job_id: str, export_id: str, request: Request, caller: Reader, service: Services
+    job_id: str, export_id: str, request: Request, caller: Reader, context: Context
 ) -> Response:
     """The file of an export that is ready; its ETag is its SHA-256.
 
     Understands Range, If-Range and If-None-Match.
     """
-    job_representation.find(job_id, caller, service)
-    shown, kept = _show(job_id, export_id, service)
+    job_lookup.find_job(job_id, caller, context)
+    shown, kept = _show(job_id, export_id, context)
     if kept is None:
         if shown.problem is not None:
             raise ProblemError(409, shown.problem.cause, shown.problem.remedy)
         raise ProblemError(
             409, "The export is not ready.", "Ask again soon.", headers={"Retry-After": RETRY_AFTER}
         )
-    path = service.storage.exports_dir(job_id) / kept.file
-    headers = tagged(kept.sha256)
-    return unchanged(request, headers) or FileResponse(
+    path = context.storage.exports_dir(job_id) / kept.file
+    headers = etag_headers(kept.sha256)
+    return not_modified(request, headers) or FileResponse(
         path, headers=headers, media_type=kept.media_type, filename=kept.name
     )
 
 
-def _find_result(job_id: str, caller: Caller, service: Service) -> tuple[JobRecord, Path]:
+def _find_result(job_id: str, caller: Caller, context: ServerContext) -> tuple[JobRecord, Path]:
     """A finished job and its result file."""
-    record = job_representation.find(job_id, caller, service)
-    return record, job_representation.find_result(record, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    return record, job_lookup.find_result(record, context)
 
 
 def _order(wanted: ExportRequest, record: JobRecord, result: Path) -> Order:
@@ -207,23 +207,23 @@ def _order(wanted: ExportRequest, record: JobRecord, result: Path) -> Order:
     seen = result.stat()
     what = wanted.model_dump(mode="json") | {"frames": frames}
     digest = body_digest(what | {"result": [seen.st_mtime_ns, seen.st_size]})
-    name = job_representation.file_stem(record)
+    name = job_view.file_stem(record)
     if frames and len(frames) == 1:
         name += f"-{frames[0]}"
     return Order(id=derived_id(f"export\0{digest}"), name=name, **what)
 
 
-def _show(job_id: str, export_id: str, service: Service) -> tuple[Export, KeptExport | None]:
+def _show(job_id: str, export_id: str, context: ServerContext) -> tuple[Export, KeptExport | None]:
     """An export as the API shows it, and its file once it is ready.
 
     Raises:
         ProblemError: 404.
     """
-    folder = service.storage.exports_dir(job_id)
+    folder = context.storage.exports_dir(job_id)
     here = f"/v1/jobs/{job_id}/exports/{export_id}"
     known = is_id(export_id)
     # what ends between the two looks is found by the second
-    task = service.exports.get(folder / export_id) if known else None
+    task = context.exports.get(folder / export_id) if known else None
     kept = KeptExport.find(folder, export_id) if known else None
     if kept is not None:
         export = Export(

@@ -11,12 +11,12 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 
 from chamfer_morph.schemas import ParticleField
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import BINARY, BYTES
-from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.routes import job_lookup
 from chamfer_morph.worker.frame_reader import Frame, read_det_f
 from chamfer_morph.worker.queue import JobRecord
 
@@ -71,7 +71,7 @@ async def get_field(
     field: str,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     format: Annotated[ValueFormat, Query(description="How to encode the values.")] = "u8",
     low: Bound = None,
     high: Bound = None,
@@ -88,17 +88,17 @@ async def get_field(
         raise ProblemError(
             404, f"There is no field {field[:80]!r}.", f"Fields are {', '.join(FIELDS)}."
         )
-    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
-    frame = await anyio.to_thread.run_sync(job_representation.find_frame, record, index, service)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
+    frame = await anyio.to_thread.run_sync(job_lookup.find_frame, record, index, context)
     etag = await anyio.to_thread.run_sync(_etag, frame, f"{field} {format} {low} {high}")
-    headers = tagged(etag)
-    if answer := unchanged(request, headers):
+    headers = etag_headers(etag)
+    if answer := not_modified(request, headers):
         return answer
 
     def encoded() -> tuple[bytes, dict[str, str]]:
-        return _encode(_compute(record, frame, field, service), format, low, high)
+        return _encode(_compute(record, frame, field, context), format, low, high)
 
-    body, told = await anyio.to_thread.run_sync(encoded, limiter=service.computations)
+    body, told = await anyio.to_thread.run_sync(encoded, limiter=context.compute_limiter)
     headers |= {"Morph-Frame": str(frame.index), **told}
     return Response(body, headers=headers, media_type=BYTES)
 
@@ -132,16 +132,16 @@ def _encode(
     return np.rint(levels).clip(0, LEVELS).astype(np.uint8).tobytes(), headers
 
 
-def _compute(record: JobRecord, frame: Frame, name: str, service: Service) -> NDArray[np.float32]:
+def _compute(
+    record: JobRecord, frame: Frame, name: str, context: ServerContext
+) -> NDArray[np.float32]:
     from morph_engine.results.fields import field
 
-    inputs = job_representation.find_inputs(record, service)
+    inputs = job_lookup.find_run_record(record, context)
     det_f = None
     if name == "det_f":
-        det_f = read_det_f(service.storage.result_path(record.id), frame.index)
-    before = (
-        job_representation.find_frame(record, frame.index - 1, service) if frame.index else None
-    )
+        det_f = read_det_f(context.storage.result_path(record.id), frame.index)
+    before = job_lookup.find_frame(record, frame.index - 1, context) if frame.index else None
     return field(
         name,
         positions=frame.positions,

@@ -14,7 +14,7 @@ from prometheus_client.registry import Collector
 from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError
 
 router = APIRouter(tags=["health"])
@@ -26,7 +26,7 @@ class Health(BaseModel):
     status: Literal["ok"] = "ok"
 
 
-class Instruments:
+class RequestMetrics:
     """What is measured of the requests themselves."""
 
     def __init__(self) -> None:
@@ -46,17 +46,17 @@ class Instruments:
         )
         self.open = Gauge("morph_requests_open", "Requests under way.", registry=self.registry)
 
-    def watch(self, service: Service) -> None:
-        """Measure the queue of a service too."""
-        self.registry.register(_QueueCollector(service))
+    def observe_queue(self, context: ServerContext) -> None:
+        """Measure the queue too."""
+        self.registry.register(_QueueCollector(context))
 
 
-class MeasuringMiddleware:
+class MetricsMiddleware:
     """Counts and times every request by the operation that answers it."""
 
-    def __init__(self, app: ASGIApp, instruments: Instruments) -> None:
+    def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
         self.app = app
-        self.instruments = instruments
+        self.metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request."""
@@ -65,23 +65,23 @@ class MeasuringMiddleware:
             return
         begun = time.perf_counter()
 
-        async def send_measured(message: Message) -> None:
+        async def send_timed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 seconds = time.perf_counter() - begun
                 operation = getattr(scope.get("route"), "operation_id", None) or "none"
-                self.instruments.requests.labels(operation, str(message["status"])).inc()
-                self.instruments.seconds.labels(operation).observe(seconds)
+                self.metrics.requests.labels(operation, str(message["status"])).inc()
+                self.metrics.seconds.labels(operation).observe(seconds)
             await send(message)
 
-        with self.instruments.open.track_inprogress():
-            await self.app(scope, receive, send_measured)
+        with self.metrics.open.track_inprogress():
+            await self.app(scope, receive, send_timed)
 
 
 class _QueueCollector(Collector):
     """Asks the queue when it is scraped."""
 
-    def __init__(self, service: Service) -> None:
-        self._service = service
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
 
     def describe(self) -> Iterator[GaugeMetricFamily]:
         yield GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
@@ -89,11 +89,11 @@ class _QueueCollector(Collector):
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         jobs = GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
-        for state, count in self._service.queue.counts().items():
+        for state, count in self._context.queue.counts().items():
             jobs.add_metric((state.value,), count)
         yield jobs
         streams = GaugeMetricFamily("morph_event_streams", "Open event streams.")
-        streams.add_metric((), self._service.watches.watchers)
+        streams.add_metric((), self._context.event_hub.subscribers)
         yield streams
 
 
@@ -104,11 +104,11 @@ async def livez() -> Health:
 
 
 @router.get("/readyz", operation_id="readyz", summary="Can it take requests?")
-def readyz(service: Services) -> Health:
+def readyz(context: Context) -> Health:
     """Answers once the database and the data directory can be used."""
     try:
-        service.queue.ping()
-        probe = service.storage.uploads / ".ready"
+        context.queue.ping()
+        probe = context.storage.uploads / ".ready"
         probe.touch()
     except Exception as error:
         what = "The data directory" if isinstance(error, OSError) else "The database"
@@ -130,7 +130,7 @@ def readyz(service: Services) -> Health:
 )
 def metrics(request: Request) -> Response:
     """Requests, their times, jobs by state and open streams, in Prometheus's text format."""
-    instruments: Instruments = request.app.state.instruments
+    metrics: RequestMetrics = request.app.state.metrics
     return Response(
-        generate_latest(instruments.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}
+        generate_latest(metrics.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}
     )

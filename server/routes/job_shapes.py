@@ -9,13 +9,13 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import array_encoding
-from chamfer_morph.server.http.conditional import file_answer
+from chamfer_morph.server.http.conditional import bytes_response
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.routes import job_lookup
 from chamfer_morph.worker.frame_reader import Role, mesh_in_grid_units
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
@@ -39,14 +39,14 @@ MESH: dict[int | str, dict[str, Any]] = {
     operation_id="getSource",
     summary="Where the particles start",
     response_class=Response,
-    responses=array_encoding.described("Positions of all particles before the first frame."),
+    responses=array_encoding.array_responses("Positions of all particles before the first frame."),
 )
 async def get_source(
-    job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
+    job_id: str, request: Request, caller: Reader, context: Context, format: PointFormat = "f32"
 ) -> Response:
     """Particles before the first frame, encoded as frames are and in their order."""
     return await anyio.to_thread.run_sync(
-        _points, "source", job_id, request, caller, service, format, limiter=service.computations
+        _points, "source", job_id, request, caller, context, format, limiter=context.compute_limiter
     )
 
 
@@ -55,14 +55,14 @@ async def get_source(
     operation_id="getTarget",
     summary="What the particles aim at",
     response_class=Response,
-    responses=array_encoding.described("Positions of all target points."),
+    responses=array_encoding.array_responses("Positions of all target points."),
 )
 async def get_target(
-    job_id: str, request: Request, caller: Reader, service: Services, format: PointFormat = "f32"
+    job_id: str, request: Request, caller: Reader, context: Context, format: PointFormat = "f32"
 ) -> Response:
     """Target points, encoded as frames are; their number is another than that of the particles."""
     return await anyio.to_thread.run_sync(
-        _points, "target", job_id, request, caller, service, format, limiter=service.computations
+        _points, "target", job_id, request, caller, context, format, limiter=context.compute_limiter
     )
 
 
@@ -74,11 +74,11 @@ async def get_target(
     responses=MESH,
 )
 async def get_source_mesh(
-    job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
+    job_id: str, request: Request, caller: Reader, context: Context, format: MeshFormat = "glb"
 ) -> Response:
     """The source mesh in grid units, placed as the job has placed it."""
     return await anyio.to_thread.run_sync(
-        _mesh, "source", job_id, request, caller, service, format, limiter=service.computations
+        _mesh, "source", job_id, request, caller, context, format, limiter=context.compute_limiter
     )
 
 
@@ -90,22 +90,27 @@ async def get_source_mesh(
     responses=MESH,
 )
 async def get_target_mesh(
-    job_id: str, request: Request, caller: Reader, service: Services, format: MeshFormat = "glb"
+    job_id: str, request: Request, caller: Reader, context: Context, format: MeshFormat = "glb"
 ) -> Response:
     """The target mesh in grid units, placed as the job has placed it."""
     return await anyio.to_thread.run_sync(
-        _mesh, "target", job_id, request, caller, service, format, limiter=service.computations
+        _mesh, "target", job_id, request, caller, context, format, limiter=context.compute_limiter
     )
 
 
 def _points(
-    role: Role, job_id: str, request: Request, caller: Caller, service: Service, format: FrameFormat
+    role: Role,
+    job_id: str,
+    request: Request,
+    caller: Caller,
+    context: ServerContext,
+    format: FrameFormat,
 ) -> Response:
-    record = job_representation.find(job_id, caller, service)
-    inputs = job_representation.find_inputs(record, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    inputs = job_lookup.find_run_record(record, context)
     positions = inputs.source_points if role == "source" else inputs.target_points
     extent = float(record.spec.config["grid"]["half_extent"])
-    return array_encoding.answer(request, positions, format, extent, {})
+    return array_encoding.array_response(request, positions, format, extent, {})
 
 
 def _mesh(
@@ -113,16 +118,16 @@ def _mesh(
     job_id: str,
     request: Request,
     caller: Caller,
-    service: Service,
+    context: ServerContext,
     format: Literal["glb", "ply"],
 ) -> Response:
     import trimesh
 
-    record = job_representation.find(job_id, caller, service)
-    mesh = mesh_in_grid_units(job_representation.find_inputs(record, service), role)
+    record = job_lookup.find_job(job_id, caller, context)
+    mesh = mesh_in_grid_units(job_lookup.find_run_record(record, context), role)
     if mesh is None:
         raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
     file = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file, file_type=format)
     media_type = GLB if format == "glb" else array_encoding.PLY
-    return file_answer(request, file.getvalue(), media_type)
+    return bytes_response(request, file.getvalue(), media_type)

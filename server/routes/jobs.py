@@ -12,17 +12,17 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
 from chamfer_morph.schemas.ids import new_id
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader, Submitter
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.body import media_type
 from chamfer_morph.server.http.json_body import load_json, read_json, validate
 from chamfer_morph.server.http.multipart import receive_form
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes.meshes import keep
-from chamfer_morph.server.submission import prepare, repeated_id, submit
+from chamfer_morph.server.routes import job_lookup, job_view
+from chamfer_morph.server.routes.meshes import store_uploads
+from chamfer_morph.server.submission import idempotent_id, prepare, submit
 from chamfer_morph.worker.queue import JobRecord
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -102,7 +102,7 @@ async def submit_job(
     request: Request,
     response: Response,
     caller: Submitter,
-    service: Services,
+    context: Context,
     idempotency_key: IdempotencyKey = None,
 ) -> Job:
     """Queue a morph between uploaded meshes or built-in shapes.
@@ -112,10 +112,10 @@ async def submit_job(
     """
     async with AsyncExitStack() as stack:
         if media_type(request) == "multipart/form-data":
-            wanted = await _with_files(request, caller, service, stack)
+            body = await _with_files(request, caller, context, stack)
         else:
-            wanted = await read_json(request, JobRequest, service.settings)
-        job, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, service)
+            body = await read_json(request, JobRequest, context.settings)
+        job, new = await anyio.to_thread.run_sync(_submit, body, idempotency_key, caller, context)
     response.status_code = 202 if new else 200
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     response.headers["Retry-After"] = RETRY_AFTER
@@ -125,7 +125,7 @@ async def submit_job(
 @router.get("", operation_id="listJobs", summary="List jobs", response_model=JobPage)
 def list_jobs(
     caller: Reader,
-    service: Services,
+    context: Context,
     state: Annotated[list[JobState], Query(description="Only these states.")] = [],  # noqa: B006
     method: Annotated[str | None, PlainText] = None,
     sweep: Annotated[str | None, PlainText] = None,
@@ -137,11 +137,11 @@ def list_jobs(
 
     `queue_position` is left out here; ask for a single job.
     """
-    if owner is not None and not caller.sees(owner):
+    if owner is not None and not caller.can_see(owner):
         raise ProblemError(403, "These are another key's jobs.", "Leave `owner` out.")
-    before = cursors.decode(cursor)
-    records = service.queue.newest(
-        owner=caller.reach if owner is None else owner,
+    before = cursors.decode_cursor(cursor)
+    records = context.queue.newest(
+        owner=caller.owner_filter if owner is None else owner,
         states=set(state) or None,
         sweep=sweep,
         method=method,
@@ -149,82 +149,82 @@ def list_jobs(
         limit=limit + 1,
     )
     page, more = records[:limit], len(records) > limit
-    items = b",".join(job_representation.show_json(record, service, alone=False) for record in page)
-    following = cursors.encode(_age(page[-1]), page[-1].id) if more else None
+    items = b",".join(job_view.to_json(record, context, alone=False) for record in page)
+    following = cursors.encode_cursor(_age(page[-1]), page[-1].id) if more else None
     body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())
     return Response(body, media_type="application/json")
 
 
 @router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
-def get_job(job_id: str, caller: Reader, service: Services) -> Response:
+def get_job(job_id: str, caller: Reader, context: Context) -> Response:
     """Where a job stands, how far it has come, and what it left."""
-    record = job_representation.find(job_id, caller, service)
-    return Response(job_representation.show_json(record, service), media_type="application/json")
+    record = job_lookup.find_job(job_id, caller, context)
+    return Response(job_view.to_json(record, context), media_type="application/json")
 
 
 @router.delete("/{job_id}", status_code=204, operation_id="deleteJob", summary="Delete a job")
-def delete_job(job_id: str, caller: Submitter, service: Services) -> None:
+def delete_job(job_id: str, caller: Submitter, context: Context) -> None:
     """Forget a finished job and all its files."""
-    record = job_representation.find(job_id, caller, service)
-    job_representation.check_allowed(record, "delete")
-    service.queue.delete(job_id)
-    service.end_derived(job_id)
-    service.storage.remove_job(job_id)
-    service.limits.measure_again(record.owner)
+    record = job_lookup.find_job(job_id, caller, context)
+    job_lookup.check_allowed(record, "delete")
+    context.queue.delete(job_id)
+    context.cancel_computations(job_id)
+    context.storage.remove_job(job_id)
+    context.quotas.invalidate(record.owner)
 
 
 @router.post("/{job_id}/cancel", status_code=202, operation_id="cancelJob", summary="Cancel a job")
-def cancel_job(job_id: str, caller: Submitter, service: Services) -> Job:
+def cancel_job(job_id: str, caller: Submitter, context: Context) -> Job:
     """Stop a job. The frames it has finished stay; they can be fetched, and it can be resumed."""
-    record = job_representation.find(job_id, caller, service)
+    record = job_lookup.find_job(job_id, caller, context)
     if record.state is not JobState.CANCELLED:
-        job_representation.check_allowed(record, "cancel")
-        service.queue.cancel(job_id)
-    return _show(job_id, caller, service)
+        job_lookup.check_allowed(record, "cancel")
+        context.queue.cancel(job_id)
+    return _show(job_id, caller, context)
 
 
 @router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
-def resume_job(job_id: str, caller: Submitter, service: Services) -> Job:
+def resume_job(job_id: str, caller: Submitter, context: Context) -> Job:
     """Let a failed, cancelled or timed out job go on from its last frame."""
-    record = job_representation.find(job_id, caller, service)
-    job_representation.check_allowed(record, "resume")
-    _check_startable(record, service)
-    service.queue.resume(job_id)
-    return _show(job_id, caller, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    job_lookup.check_allowed(record, "resume")
+    _check_startable(record, context)
+    context.queue.resume(job_id)
+    return _show(job_id, caller, context)
 
 
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
-def retry_job(job_id: str, caller: Submitter, service: Services) -> Job:
+def retry_job(job_id: str, caller: Submitter, context: Context) -> Job:
     """Compute a finished job again from the beginning; what it left is deleted."""
-    record = job_representation.find(job_id, caller, service)
-    job_representation.check_allowed(record, "retry")
-    _check_startable(record, service)
-    service.end_derived(job_id)
-    service.queue.retry(job_id)
-    return _show(job_id, caller, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    job_lookup.check_allowed(record, "retry")
+    _check_startable(record, context)
+    context.cancel_computations(job_id)
+    context.queue.retry(job_id)
+    return _show(job_id, caller, context)
 
 
 def _submit(
-    wanted: JobRequest, key: str | None, caller: Caller, service: Service
+    body: JobRequest, key: str | None, caller: Caller, context: ServerContext
 ) -> tuple[Job, bool]:
-    submission = prepare(wanted, caller, service)
-    job_id = repeated_id("job", caller, key) if key else new_id()
-    if not key or service.queue.get(job_id) is None:
-        service.limits.check_jobs(caller.name)
-    record, new = submit(submission, job_id=job_id, caller=caller, service=service)
-    return job_representation.show(record, service), new
+    submission = prepare(body, caller, context)
+    job_id = idempotent_id("job", caller, key) if key else new_id()
+    if not key or context.queue.get(job_id) is None:
+        context.quotas.check_jobs(caller.name)
+    record, new = submit(submission, job_id=job_id, caller=caller, context=context)
+    return job_view.to_job(record, context), new
 
 
 async def _with_files(
-    request: Request, caller: Caller, service: Service, stack: AsyncExitStack
+    request: Request, caller: Caller, context: ServerContext, stack: AsyncExitStack
 ) -> JobRequest:
     """The request in a form, its files uploaded; nothing is kept if any part of it is wrong."""
     form = await stack.enter_async_context(
         receive_form(
             request,
-            service.storage.uploads,
+            context.storage.uploads,
             files={"source", "target"},
-            settings=service.settings,
+            settings=context.settings,
         )
     )
     if "job" not in form.fields or form.fields.keys() != {"job"}:
@@ -241,22 +241,22 @@ async def _with_files(
             "Leave out of it what is sent as a file.",
         )
     shapes = {role: {"mesh": upload.sha256} for role, upload in form.files.items()}
-    wanted = validate(body | shapes, JobRequest)
+    body = validate(body | shapes, JobRequest)
     if form.files:
-        await anyio.to_thread.run_sync(service.limits.check_meshes, caller.name)
-        await keep(list(form.files.values()), caller, service)
-    return wanted
+        await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
+        await store_uploads(list(form.files.values()), caller, context)
+    return body
 
 
-def _show(job_id: str, caller: Caller, service: Service) -> Job:
+def _show(job_id: str, caller: Caller, context: ServerContext) -> Job:
     """A job as it is now."""
-    return job_representation.show(job_representation.find(job_id, caller, service), service)
+    return job_view.to_job(job_lookup.find_job(job_id, caller, context), context)
 
 
-def _check_startable(record: JobRecord, service: Service) -> None:
-    service.limits.check_jobs(record.owner)
+def _check_startable(record: JobRecord, context: ServerContext) -> None:
+    context.quotas.check_jobs(record.owner)
     for shape in (record.spec.source, record.spec.target):
-        if isinstance(shape, MeshShape) and service.storage.mesh_file(shape.mesh) is None:
+        if isinstance(shape, MeshShape) and context.storage.mesh_file(shape.mesh) is None:
             raise ProblemError(
                 409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."
             )

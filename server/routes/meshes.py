@@ -13,13 +13,13 @@ from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import JobState, Mesh, MeshPage, MeshShape
 from chamfer_morph.server.auth import Reader, Submitter
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.meshes import MeshRow
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.body import media_type
-from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.multipart import receive_form
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.http.uploads import Upload, plain_name, receive_file
@@ -61,7 +61,7 @@ async def upload_mesh(
     request: Request,
     response: Response,
     caller: Submitter,
-    service: Services,
+    context: Context,
     name: Annotated[
         str,
         Query(max_length=200, description="File name of a raw body; its suffix tells the format."),
@@ -72,46 +72,46 @@ async def upload_mesh(
     OBJ, PLY, STL, OFF, GLB and self-contained glTF are read. A mesh that cannot be filled with
     particles is refused, with the reason. The same file sent again is the same mesh.
     """
-    await anyio.to_thread.run_sync(service.limits.check_meshes, caller.name)
-    folder = service.storage.uploads
+    await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
+    folder = context.storage.uploads
     async with AsyncExitStack() as stack:
         if media_type(request) == "multipart/form-data":
             form = await stack.enter_async_context(
-                receive_form(request, folder, files={"file"}, settings=service.settings)
+                receive_form(request, folder, files={"file"}, settings=context.settings)
             )
             if "file" not in form.files:
                 raise ProblemError(422, "The form has no part `file`.", "Send the mesh in it.")
             upload = form.files["file"]
             upload.name = plain_name(name) or upload.name
         else:
-            suffix_of(plain_name(name))
+            mesh_suffix(plain_name(name))
             upload = await stack.enter_async_context(
-                receive_file(request, folder, name, service.settings)
+                receive_file(request, folder, name, context.settings)
             )
-        (row, new), *_ = await keep([upload], caller, service)
+        (row, new), *_ = await store_uploads([upload], caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"
     response.status_code = 201 if new else 200
-    return await anyio.to_thread.run_sync(show, row, service)
+    return await anyio.to_thread.run_sync(to_mesh, row, context)
 
 
 @router.get("", operation_id="listMeshes", summary="List meshes")
 def list_meshes(
-    caller: Reader, service: Services, limit: cursors.Limit = 50, cursor: cursors.Cursor = None
+    caller: Reader, context: Context, limit: cursors.Limit = 50, cursor: cursors.Cursor = None
 ) -> MeshPage:
     """Your uploads, the newest first; everybody's for an admin key."""
-    before = cursors.decode(cursor)
-    rows = service.meshes.page(caller.reach, before=before, limit=limit + 1)
+    before = cursors.decode_cursor(cursor)
+    rows = context.meshes.page(caller.owner_filter, before=before, limit=limit + 1)
     page, more = rows[:limit], len(rows) > limit
     return MeshPage(
-        items=[show(row, service) for row in page if service.storage.mesh_file(row.sha256)],
-        next_cursor=cursors.encode(page[-1].created_at, page[-1].sha256) if more else None,
+        items=[to_mesh(row, context) for row in page if context.storage.mesh_file(row.sha256)],
+        next_cursor=cursors.encode_cursor(page[-1].created_at, page[-1].sha256) if more else None,
     )
 
 
 @router.get("/{mesh_id}", operation_id="getMesh", summary="Describe a mesh")
-def get_mesh(mesh_id: str, caller: Reader, service: Services) -> Mesh:
+def get_mesh(mesh_id: str, caller: Reader, context: Context) -> Mesh:
     """What the engine sees in a mesh: closed?, volume, particles, expected time and memory."""
-    return show(find(mesh_id, caller, service), service)
+    return to_mesh(find_mesh(mesh_id, caller, context), context)
 
 
 @router.get(
@@ -121,14 +121,14 @@ def get_mesh(mesh_id: str, caller: Reader, service: Services) -> Mesh:
     response_class=FileResponse,
     responses={304: {"description": "You have it already."}},
 )
-def get_mesh_file(mesh_id: str, request: Request, caller: Reader, service: Services) -> Response:
+def get_mesh_file(mesh_id: str, request: Request, caller: Reader, context: Context) -> Response:
     """The file as it was uploaded; understands Range and If-None-Match."""
-    row = find(mesh_id, caller, service)
-    path = service.storage.mesh_file(mesh_id)
+    row = find_mesh(mesh_id, caller, context)
+    path = context.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    headers = tagged(mesh_id) | {"Cache-Control": "private, max-age=31536000, immutable"}
-    return unchanged(request, headers) or FileResponse(
+    headers = etag_headers(mesh_id) | {"Cache-Control": "private, max-age=31536000, immutable"}
+    return not_modified(request, headers) or FileResponse(
         path, headers=headers, filename=row.name, media_type="application/octet-stream"
     )
 
@@ -136,45 +136,45 @@ def get_mesh_file(mesh_id: str, request: Request, caller: Reader, service: Servi
 @router.delete(
     "/{mesh_id}", status_code=204, operation_id="deleteMesh", summary="Delete an unused mesh"
 )
-def delete_mesh(mesh_id: str, caller: Submitter, service: Services) -> None:
+def delete_mesh(mesh_id: str, caller: Submitter, context: Context) -> None:
     """Forget your upload of a mesh; with an admin key and none of your own, everybody's.
 
     Refused while a job that is not finished uses it.
     """
-    find(mesh_id, caller, service)
-    own = service.meshes.get(caller.name, mesh_id) is not None
-    users = _unfinished_users(mesh_id, service)
-    mine = [job_id for job_id, owner in users if caller.sees(owner)]
-    if mine:
+    find_mesh(mesh_id, caller, context)
+    own = context.meshes.get(caller.name, mesh_id) is not None
+    users = _unfinished_users(mesh_id, context)
+    visible = [job_id for job_id, owner in users if caller.can_see(owner)]
+    if visible:
         raise ProblemError(
             409,
-            f"{len(mine)} unfinished job(s) use this mesh, such as {mine[0]}.",
+            f"{len(visible)} unfinished job(s) use this mesh, such as {visible[0]}.",
             "Wait for them, or cancel them.",
         )
-    if users and service.meshes.is_sole_owner(caller.name, mesh_id):
+    if users and context.meshes.is_sole_owner(caller.name, mesh_id):
         raise ProblemError(
             409, "An unfinished job of another key uses this mesh.", "Try again once it is done."
         )
-    if service.meshes.remove(caller.name if own else caller.reach, mesh_id):
-        service.storage.remove_mesh(mesh_id)
-    service.limits.measure_again(caller.name)
+    if context.meshes.remove(caller.name if own else caller.owner_filter, mesh_id):
+        context.storage.remove_mesh(mesh_id)
+    context.quotas.invalidate(caller.name)
 
 
-def find(mesh_id: str, caller: Caller, service: Service) -> MeshRow:
+def find_mesh(mesh_id: str, caller: Caller, context: ServerContext) -> MeshRow:
     """An upload that the caller may see.
 
     Raises:
         ProblemError: 404.
     """
     known = re.fullmatch("[0-9a-f]{64}", mesh_id)
-    row = service.meshes.get(caller.reach, mesh_id) if known else None
-    if row is None or service.storage.mesh_file(mesh_id) is None:
+    row = context.meshes.get(caller.owner_filter, mesh_id) if known else None
+    if row is None or context.storage.mesh_file(mesh_id) is None:
         raise not_found("mesh", mesh_id)
     return row
 
 
-async def keep(
-    uploads: list[Upload], caller: Caller, service: Service
+async def store_uploads(
+    uploads: list[Upload], caller: Caller, context: ServerContext
 ) -> list[tuple[MeshRow, bool]]:
     """Inspect uploads, and store them if all can be used.
 
@@ -185,18 +185,20 @@ async def keep(
         ProblemError: 415, a name without the suffix of a mesh format.
         MorphError: One cannot be used.
     """
-    suffixes = [suffix_of(upload.name) for upload in uploads]
+    suffixes = [mesh_suffix(upload.name) for upload in uploads]
     reports: list[dict[str, Any] | None] = []
     for upload in uploads:
-        known = service.storage.mesh_file(upload.sha256) is not None
-        reports.append(None if known else await _inspect(upload, service))
-    kept = []
+        known = context.storage.mesh_file(upload.sha256) is not None
+        reports.append(None if known else await _inspect(upload, context))
+    stored = []
     for upload, suffix, report in zip(uploads, suffixes, reports, strict=True):
-        kept.append(await anyio.to_thread.run_sync(_store, upload, suffix, report, caller, service))
-    return kept
+        stored.append(
+            await anyio.to_thread.run_sync(_store, upload, suffix, report, caller, context)
+        )
+    return stored
 
 
-def suffix_of(name: str) -> str:
+def mesh_suffix(name: str) -> str:
     """The mesh format that a file name tells.
 
     Raises:
@@ -215,40 +217,44 @@ def suffix_of(name: str) -> str:
     )
 
 
-def show(row: MeshRow, service: Service) -> Mesh:
+def to_mesh(row: MeshRow, context: ServerContext) -> Mesh:
     """An upload as the API shows it."""
     return Mesh(
         id=row.sha256,
         name=row.name,
         size_bytes=row.size_bytes,
         created_at=as_time(row.created_at),
-        report=service.storage.mesh_report(row.sha256) | {"name": row.name},
+        report=context.storage.mesh_report(row.sha256) | {"name": row.name},
     )
 
 
-async def _inspect(upload: Upload, service: Service) -> dict[str, Any]:
+async def _inspect(upload: Upload, context: ServerContext) -> dict[str, Any]:
     return await anyio.to_thread.run_sync(
-        inspect_file, upload.path, upload.name, service.settings, limiter=service.inspections
+        inspect_file, upload.path, upload.name, context.settings, limiter=context.inspection_limiter
     )
 
 
 def _store(
-    upload: Upload, suffix: str, report: dict[str, Any] | None, caller: Caller, service: Service
+    upload: Upload,
+    suffix: str,
+    report: dict[str, Any] | None,
+    caller: Caller,
+    context: ServerContext,
 ) -> tuple[MeshRow, bool]:
     if report is not None:
-        service.storage.add_mesh(upload.path, upload.sha256, suffix, report)
-    new = service.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
-    row = service.meshes.get(caller.name, upload.sha256)
+        context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
+    new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
+    row = context.meshes.get(caller.name, upload.sha256)
     if row is None:
         raise ProblemError(409, "The mesh has been deleted meanwhile.", "Upload it again.")
     return row, new
 
 
-def _unfinished_users(mesh_id: str, service: Service) -> list[tuple[str, str]]:
+def _unfinished_users(mesh_id: str, context: ServerContext) -> list[tuple[str, str]]:
     """Id and owner of the unfinished jobs that use a mesh."""
     users, before = [], None
     while True:
-        page = service.queue.newest(
+        page = context.queue.newest(
             states={JobState.QUEUED, JobState.RUNNING}, before=before, limit=PAGE
         )
         for record in page:

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import Fit, FrameFormat
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Services
+from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes import meshes
@@ -28,7 +28,7 @@ Placing = Annotated[
 ]
 Format = Annotated[FrameFormat, Query(description="How to encode the positions.")]
 
-ANSWER = array_encoding.described(
+RESPONSES = array_encoding.array_responses(
     "Positions of all particles.",
     Morph_Count=("integer", "Number of particles."),
     Morph_Warnings=("string", "What to know of the shape: a JSON list of sentences."),
@@ -41,25 +41,25 @@ ANSWER = array_encoding.described(
     summary="Particles of a mesh",
     tags=["meshes"],
     response_class=Response,
-    responses=ANSWER,
+    responses=RESPONSES,
 )
 async def get_mesh_particles(
     mesh_id: str,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     points_per_cell_edge: Density = 3,
     fit: Placing = "auto",
     format: Format = "u16",
 ) -> Response:
     """The particles that a job would fill the mesh with, encoded as frames are."""
-    row = await anyio.to_thread.run_sync(meshes.find, mesh_id, caller, service)
-    path = service.storage.mesh_file(mesh_id)
+    row = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
+    path = context.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    preview = await service.previews.get(path, row.name, points_per_cell_edge, fit, request)
-    known = service.storage.mesh_report(mesh_id)["warnings"]
-    return await anyio.to_thread.run_sync(_answer, request, preview, format, known)
+    preview = await context.previews.get(path, row.name, points_per_cell_edge, fit, request)
+    known = context.storage.mesh_report(mesh_id)["warnings"]
+    return await anyio.to_thread.run_sync(_response, request, preview, format, known)
 
 
 @router.get(
@@ -68,25 +68,27 @@ async def get_mesh_particles(
     summary="Particles of a built-in shape",
     tags=["catalog"],
     response_class=Response,
-    responses=ANSWER,
+    responses=RESPONSES,
 )
 async def get_shape_particles(
     shape: str,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     points_per_cell_edge: Density = 3,
     fit: Placing = "auto",
     format: Format = "u16",
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
-    preview = await service.previews.get(shape, shape, points_per_cell_edge, fit, request)
-    return await anyio.to_thread.run_sync(_answer, request, preview, format, [])
+    preview = await context.previews.get(shape, shape, points_per_cell_edge, fit, request)
+    return await anyio.to_thread.run_sync(_response, request, preview, format, [])
 
 
-def _answer(request: Request, preview: Preview, format: FrameFormat, known: list[str]) -> Response:
+def _response(
+    request: Request, preview: Preview, format: FrameFormat, known: list[str]
+) -> Response:
     headers = {
         "Morph-Count": str(len(preview.positions)),
         "Morph-Warnings": json.dumps([*known, *preview.warnings]),
     }
-    return array_encoding.answer(request, preview.positions, format, EXTENT, headers)
+    return array_encoding.array_response(request, preview.positions, format, EXTENT, headers)

@@ -13,11 +13,11 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Services
+from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
-from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.conditional import etag_headers, not_modified
+from chamfer_morph.server.routes import job_lookup, job_view
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.digest import file_sha256
 
@@ -43,25 +43,25 @@ TABLES_KEPT = 64
         304: {"description": "You have it already."},
     },
 )
-def get_result(job_id: str, request: Request, caller: Reader, service: Services) -> Response:
+def get_result(job_id: str, request: Request, caller: Reader, context: Context) -> Response:
     """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
 
     Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
     leaves the frames it had finished.
     """
-    record = job_representation.find(job_id, caller, service)
-    path = job_representation.find_result(record, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    path = job_lookup.find_result(record, context)
     if record.outcome is not None:
         digest = record.outcome.sha256
     else:
         seen = path.stat()
         digest = _digest(path, seen.st_mtime_ns, seen.st_size)
-    headers = tagged(digest)
-    return unchanged(request, headers) or FileResponse(
+    headers = etag_headers(digest)
+    return not_modified(request, headers) or FileResponse(
         path,
         headers=headers,
         media_type=HDF5,
-        filename=f"{job_representation.file_stem(record)}.vtkhdf",
+        filename=f"{job_view.file_stem(record)}.vtkhdf",
     )
 
 
@@ -70,7 +70,7 @@ def get_result(job_id: str, request: Request, caller: Reader, service: Services)
     operation_id="getFrame",
     summary="Fetch one frame",
     response_class=Response,
-    responses=array_encoding.described(
+    responses=array_encoding.array_responses(
         "Positions of all particles.", Morph_Frame=("integer", "Index of the frame.")
     ),
 )
@@ -79,7 +79,7 @@ def get_frame(
     index: int,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     format: Annotated[FrameFormat, Query(description="How to encode the positions.")] = "f32",
 ) -> Response:
     """Particle positions of a finished frame, also while the job runs. Frames count from 0; -1 is
@@ -89,10 +89,10 @@ def get_frame(
     little-endian uint16 likewise; position = Morph-Offset + Morph-Scale x value. `ply`: a binary
     PLY point cloud. `npy`: a NumPy array of shape [n, 3].
     """  # noqa: D205
-    record = job_representation.find(job_id, caller, service)
-    frame = job_representation.find_frame(record, index, service)
+    record = job_lookup.find_job(job_id, caller, context)
+    frame = job_lookup.find_frame(record, index, context)
     extent = float(record.spec.config["grid"]["half_extent"])
-    return array_encoding.answer(
+    return array_encoding.array_response(
         request, frame.positions, format, extent, {"Morph-Frame": str(frame.index)}
     )
 
@@ -107,20 +107,20 @@ def get_frame(
 def get_metrics(
     job_id: str,
     caller: Reader,
-    service: Services,
+    context: Context,
     format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
 ) -> Any:
     """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
-    job_representation.find(job_id, caller, service)
-    log = service.storage.events(job_id)
+    job_lookup.find_job(job_id, caller, context)
+    log = context.storage.events(job_id)
     media_type = "application/json" if format == "json" else "text/csv; charset=utf-8"
     return Response(_metrics(log, log.version(), format), media_type=media_type)
 
 
 @router.get("/config", operation_id="getConfig", summary="The resolved configuration")
-def get_config(job_id: str, caller: Reader, service: Services) -> dict[str, Any]:
+def get_config(job_id: str, caller: Reader, context: Context) -> dict[str, Any]:
     """Every setting that the job runs with."""
-    return job_representation.find(job_id, caller, service).spec.config
+    return job_lookup.find_job(job_id, caller, context).spec.config
 
 
 @router.get(
@@ -130,10 +130,10 @@ def get_config(job_id: str, caller: Reader, service: Services) -> dict[str, Any]
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def get_log(job_id: str, caller: Reader, service: Services) -> Response:
+def get_log(job_id: str, caller: Reader, context: Context) -> Response:
     """Warnings and errors of the processes that computed the job, as text."""
-    job_representation.find(job_id, caller, service)
-    path = service.storage.job_dir(job_id) / "log.txt"
+    job_lookup.find_job(job_id, caller, context)
+    path = context.storage.job_dir(job_id) / "log.txt"
     if not path.is_file():
         return Response("", media_type="text/plain; charset=utf-8")
     return FileResponse(path, media_type="text/plain; charset=utf-8")

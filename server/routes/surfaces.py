@@ -11,12 +11,12 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import SurfaceFormat, Units
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import BINARY, PLY
-from chamfer_morph.server.http.conditional import tagged, unchanged
+from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.problems import not_found
+from chamfer_morph.server.routes import job_lookup
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.tasks.reconstruct_surface import KeptSurface, compute_surface
 
@@ -58,7 +58,7 @@ async def get_surface(
     index: int,
     request: Request,
     caller: Reader,
-    service: Services,
+    context: Context,
     format: Annotated[SurfaceFormat, Query(description="Of the file.")] = "glb",
     units: Annotated[
         Units, Query(description="Grid units, or the coordinates of the target's file.")
@@ -69,23 +69,23 @@ async def get_surface(
     It is computed when it is first asked for, which takes seconds, and kept with the job. The
     headers tell whether it is closed and how far it lies from the target mesh.
     """
-    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
-    frame = await anyio.to_thread.run_sync(job_representation.find_frame, record, index, service)
-    path = service.storage.surface_path(job_id, frame.index)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
+    frame = await anyio.to_thread.run_sync(job_lookup.find_frame, record, index, context)
+    path = context.storage.surface_path(job_id, frame.index)
     if not path.exists():
-        await anyio.to_thread.run_sync(service.limits.check_disk, record.owner)
+        await anyio.to_thread.run_sync(context.quotas.check_disk, record.owner)
     finished = record.state.finished
     compute = partial(
-        compute_surface, service.storage, job_id, frame.index, finished, service.settings
+        compute_surface, context.storage, job_id, frame.index, finished, context.settings
     )
-    await service.surfaces.make(path, compute, request)
+    await context.surfaces.make(path, compute, request)
     try:
         etag = await anyio.to_thread.run_sync(_etag, path, format, units)
-        headers = tagged(etag)
-        if answer := unchanged(request, headers):
+        headers = etag_headers(etag)
+        if answer := not_modified(request, headers):
             return answer
         body, told = await anyio.to_thread.run_sync(
-            _encode, record, frame.index, format, units, service, limiter=service.computations
+            _encode, record, frame.index, format, units, context, limiter=context.compute_limiter
         )
     except FileNotFoundError:  # deleted meanwhile
         raise not_found("job", job_id) from None
@@ -99,15 +99,15 @@ def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
 
 
 def _encode(
-    record: JobRecord, index: int, format: SurfaceFormat, units: Units, service: Service
+    record: JobRecord, index: int, format: SurfaceFormat, units: Units, context: ServerContext
 ) -> tuple[bytes, dict[str, str]]:
     """A surface that is there as a file, and what to tell of it."""
     import trimesh
 
-    surface = KeptSurface.load(service.storage.surface_path(record.id, index))
+    surface = KeptSurface.load(context.storage.surface_path(record.id, index))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if units == "user":
-        mesh.apply_transform(job_representation.find_inputs(record, service).transform)
+        mesh.apply_transform(job_lookup.find_run_record(record, context).transform)
     file = io.BytesIO()
     mesh.export(file, file_type=format, **({"include_normals": True} if format == "glb" else {}))
     told: dict[str, Any] = {

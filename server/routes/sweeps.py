@@ -13,14 +13,20 @@ from fastapi import APIRouter, Query, Request, Response
 from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.ids import is_id, new_id
 from chamfer_morph.server.auth import Reader, Submitter
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.sweeps import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http.json_body import read_json
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
-from chamfer_morph.server.submission import body_digest, key_reused, prepare, repeated_id, submit
+from chamfer_morph.server.submission import (
+    body_digest,
+    idempotency_conflict,
+    idempotent_id,
+    prepare,
+    submit,
+)
 from chamfer_morph.worker.progress import read_progress
 from chamfer_morph.worker.queue import JobRecord
 
@@ -66,15 +72,15 @@ async def submit_sweep(
     request: Request,
     response: Response,
     caller: Submitter,
-    service: Services,
+    context: Context,
     idempotency_key: IdempotencyKey = None,
 ) -> Sweep:
     """Queue sources x targets x methods x seeds, at most 1000 jobs, all of them or none.
 
     If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
     """
-    wanted = await read_json(request, SweepRequest, service.settings)
-    sweep, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, service)
+    wanted = await read_json(request, SweepRequest, context.settings)
+    sweep, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, context)
     response.status_code = 202 if new else 200
     response.headers["Location"] = f"/v1/sweeps/{sweep.id}"
     response.headers["Retry-After"] = RETRY_AFTER
@@ -91,21 +97,21 @@ async def submit_sweep(
 def get_sweep(
     sweep_id: str,
     caller: Reader,
-    service: Services,
+    context: Context,
     format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
 ) -> Any:
     """The jobs of a sweep in one table, with the metrics of the last finished frame of each."""
-    stored = service.sweeps.get(sweep_id) if is_id(sweep_id) else None
-    if stored is None or not caller.sees(stored.owner):
+    stored = context.sweeps.get(sweep_id) if is_id(sweep_id) else None
+    if stored is None or not caller.can_see(stored.owner):
         raise not_found("sweep", sweep_id)
-    sweep = _show(stored, service)
+    sweep = _show(stored, context)
     if format == "csv":
         return Response(_table(sweep), media_type="text/csv; charset=utf-8")
     return sweep
 
 
 def _submit(
-    wanted: SweepRequest, key: str | None, caller: Caller, service: Service
+    wanted: SweepRequest, key: str | None, caller: Caller, context: ServerContext
 ) -> tuple[Sweep, bool]:
     combinations = list(product(wanted.sources, wanted.targets, wanted.methods, wanted.seeds))
     if len(combinations) > JOBS:
@@ -113,10 +119,10 @@ def _submit(
             422, f"This makes {len(combinations)} jobs, more than {JOBS}.", "Split the sweep."
         )
     body = body_digest(wanted.model_dump(mode="json"))
-    sweep_id = repeated_id("sweep", caller, key) if key else new_id()
-    before = service.sweeps.get(sweep_id)
+    sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
+    before = context.sweeps.get(sweep_id)
     if before is not None and before.body != body:
-        raise key_reused()
+        raise idempotency_conflict()
     common = wanted.model_dump(
         include={"preset", "overrides", "frames", "name", "device", "priority", "timeout_seconds"}
     )
@@ -124,21 +130,21 @@ def _submit(
         prepare(
             JobRequest(source=source, target=target, method=method, seed=seed, **common),
             caller,
-            service,
+            context,
         )
         for source, target, method, seed in combinations
     ]
     if before is None:
-        service.limits.check_jobs(caller.name, len(submissions))
-    stored = service.sweeps.add(sweep_id, caller.name, wanted.name, body)
+        context.quotas.check_jobs(caller.name, len(submissions))
+    stored = context.sweeps.add(sweep_id, caller.name, wanted.name, body)
     for index, submission in enumerate(submissions):
-        job_id = repeated_id(f"job {index}", caller, sweep_id)
-        submit(submission, job_id=job_id, caller=caller, service=service, sweep=sweep_id)
-    return _show(stored, service), before is None
+        job_id = idempotent_id(f"job {index}", caller, sweep_id)
+        submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
+    return _show(stored, context), before is None
 
 
-def _show(stored: StoredSweep, service: Service) -> Sweep:
-    records = service.queue.newest(sweep=stored.id, limit=JOBS)
+def _show(stored: StoredSweep, context: ServerContext) -> Sweep:
+    records = context.queue.newest(sweep=stored.id, limit=JOBS)
     counts = dict.fromkeys(JobState, 0)
     for record in records:
         counts[record.state] += 1
@@ -147,15 +153,15 @@ def _show(stored: StoredSweep, service: Service) -> Sweep:
         name=stored.name,
         created_at=as_time(stored.created_at),
         counts=counts,
-        rows=sorted((_row(record, service) for record in records), key=_order),
+        rows=sorted((_row(record, context) for record in records), key=_order),
     )
 
 
-def _row(record: JobRecord, service: Service) -> SweepRow:
+def _row(record: JobRecord, context: ServerContext) -> SweepRow:
     if record.outcome is not None:
         metrics = record.outcome.metrics
     else:
-        metrics = read_progress(service.storage, record.id, record.spec).metrics
+        metrics = read_progress(context.storage, record.id, record.spec).metrics
     return SweepRow(
         job=record.id,
         source=str(record.attributes.get("source_name", "")),

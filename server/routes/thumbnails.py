@@ -8,12 +8,12 @@ from pathlib import Path
 import anyio
 from fastapi import APIRouter, Request, Response
 
-from chamfer_morph.server import job_representation
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import BINARY
-from chamfer_morph.server.http.conditional import file_answer
+from chamfer_morph.server.http.conditional import bytes_response
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.routes import job_lookup
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.config import MorphConfig
@@ -36,40 +36,42 @@ WEBP = "image/webp"
     },
 )
 async def get_thumbnail(
-    job_id: str, request: Request, caller: Reader, service: Services
+    job_id: str, request: Request, caller: Reader, context: Context
 ) -> Response:
     """A picture of the newest frame, also while the job runs; its ETag changes with it."""
-    record = await anyio.to_thread.run_sync(job_representation.find, job_id, caller, service)
-    body = await anyio.to_thread.run_sync(_kept, record, service)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
+    body = await anyio.to_thread.run_sync(_kept, record, context)
     if body is None:
-        body = await anyio.to_thread.run_sync(_draw, record, service, limiter=service.computations)
-    return file_answer(request, body, WEBP)
+        body = await anyio.to_thread.run_sync(
+            _draw, record, context, limiter=context.compute_limiter
+        )
+    return bytes_response(request, body, WEBP)
 
 
-def _kept(record: JobRecord, service: Service) -> bytes | None:
+def _kept(record: JobRecord, context: ServerContext) -> bytes | None:
     """The picture of the newest frame, if it has been drawn before.
 
     Raises:
         ProblemError: 404, there is no frame yet.
     """
     try:
-        return _path(record, service).read_bytes()
+        return _path(record, context).read_bytes()
     except FileNotFoundError:
         return None
 
 
-def _draw(record: JobRecord, service: Service) -> bytes:
+def _draw(record: JobRecord, context: ServerContext) -> bytes:
     """Draw it, unless that has been done while this waited for its turn."""
-    if (kept := _kept(record, service)) is not None:
+    if (kept := _kept(record, context)) is not None:
         return kept
     from morph_engine.rendering.pictures import thumbnail
 
-    path = _path(record, service)
-    frame = job_representation.find_frame(record, -1, service)
+    path = _path(record, context)
+    frame = job_lookup.find_frame(record, -1, context)
     spacing = MorphConfig.model_validate(record.spec.config).spacing
     picture: bytes = thumbnail(frame.positions, spacing)
     with suppress(OSError, ResultError):  # the disk is full, or the job has been deleted
-        service.storage.make_derived_dirs(record.id)
+        context.storage.make_derived_dirs(record.id)
         with replacing(path) as temporary:
             temporary.write_bytes(picture)
         for older in path.parent.glob("thumbnail-*.webp"):
@@ -78,10 +80,10 @@ def _draw(record: JobRecord, service: Service) -> bytes:
     return picture
 
 
-def _path(record: JobRecord, service: Service) -> Path:
+def _path(record: JobRecord, context: ServerContext) -> Path:
     """Where the picture of the newest frame lies, named by the number of frames there are."""
-    result = service.storage.result_path(record.id)
+    result = context.storage.result_path(record.id)
     count = count_frames(result, record.state.finished)
     if not count:
         raise ProblemError(404, "There is no frame yet.", "Wait until the job has finished one.")
-    return service.storage.derived_dir(record.id) / f"thumbnail-{count:06d}.webp"
+    return context.storage.derived_dir(record.id) / f"thumbnail-{count:06d}.webp"

@@ -16,7 +16,7 @@ from chamfer_morph.server.http.problems import ProblemError, as_problem
 
 router = APIRouter(include_in_schema=False)
 
-BUILT = Path(__file__).parent / "web" / "dist"
+BUILT = Path(__file__).parents[1] / "web" / "dist"
 """What `make page` builds from `server/web`."""
 
 ENCODINGS = {"br": ".br", "gzip": ".gz"}

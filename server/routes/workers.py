@@ -8,7 +8,7 @@ from fastapi import APIRouter
 
 from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.auth import Admin
-from chamfer_morph.server.context import Service, Services
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.worker import slots
 from chamfer_morph.worker.locks import try_lock
@@ -17,40 +17,42 @@ router = APIRouter(prefix="/workers", tags=["workers"])
 
 
 @router.get("", operation_id="listWorkers", summary="List worker slots")
-def list_workers(caller: Admin, service: Services) -> list[WorkerStatus]:
+def list_workers(caller: Admin, context: Context) -> list[WorkerStatus]:
     """All slots that have ever worked on this storage."""
-    running = service.queue.running()
-    return [_show(name, running, service) for name in slots.known(service.settings.data_dir)]
+    running = context.queue.running()
+    return [_show(name, running, context) for name in slots.known(context.settings.data_dir)]
 
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
-def pause_worker(worker_id: str, caller: Admin, service: Services) -> WorkerStatus:
+def pause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerStatus:
     """Let a slot finish its job and take no other."""
-    _check(worker_id, service)
-    slots.pause(service.settings.data_dir, worker_id)
-    return _show(worker_id, service.queue.running(), service)
+    _check(worker_id, context)
+    slots.pause(context.settings.data_dir, worker_id)
+    return _show(worker_id, context.queue.running(), context)
 
 
 @router.post("/{worker_id}/unpause", operation_id="unpauseWorker", summary="Unpause a slot")
-def unpause_worker(worker_id: str, caller: Admin, service: Services) -> WorkerStatus:
+def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerStatus:
     """Let a slot take jobs again."""
-    _check(worker_id, service)
-    slots.unpause(service.settings.data_dir, worker_id)
-    return _show(worker_id, service.queue.running(), service)
+    _check(worker_id, context)
+    slots.unpause(context.settings.data_dir, worker_id)
+    return _show(worker_id, context.queue.running(), context)
 
 
-def _check(worker_id: str, service: Service) -> None:
-    if worker_id not in slots.known(service.settings.data_dir):
+def _check(worker_id: str, context: ServerContext) -> None:
+    if worker_id not in slots.known(context.settings.data_dir):
         raise not_found("worker slot", worker_id)
 
 
-def _show(name: str, running: Mapping[str, Collection[str]], service: Service) -> WorkerStatus:
-    lock = try_lock(service.settings, name)
+def _show(
+    name: str, running: Mapping[str, Collection[str]], context: ServerContext
+) -> WorkerStatus:
+    lock = try_lock(context.settings, name)
     if lock is not None:
         lock.release()
     return WorkerStatus(
         id=name,
         alive=lock is None,
-        paused=slots.is_paused(service.settings.data_dir, name),
+        paused=slots.is_paused(context.settings.data_dir, name),
         job=next(iter(running.get(name, ())), None),
     )

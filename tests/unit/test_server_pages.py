@@ -12,21 +12,21 @@ from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.http.uploads import plain_name
-from chamfer_morph.server.routes.events import wants_stream
-from chamfer_morph.server.submission import repeated_id
+from chamfer_morph.server.routes.events import accepts_stream
+from chamfer_morph.server.submission import idempotent_id
 
 
 @given(st.integers(0, 2**53 - 1), st.from_regex(r"[0-9a-z]{26}", fullmatch=True))
 def test_a_cursor_comes_back_as_it_was(age: int, name: str) -> None:
     """What was encoded is decoded."""
-    assert cursors.decode(cursors.encode(age, name)) == (age, name)
+    assert cursors.decode_cursor(cursors.encode_cursor(age, name)) == (age, name)
 
 
 @given(st.text(max_size=60))
 def test_a_strange_cursor_is_refused(text: str) -> None:
     """Any other text is a 422, not a fault."""
     try:
-        cursors.decode(text)
+        cursors.decode_cursor(text)
     except ProblemError as error:
         assert error.status == 422
 
@@ -43,7 +43,7 @@ def test_idempotency_keys_make_ids(one: str, other: str) -> None:
     """The same key of the same caller is the same id, any other another one."""
     ann, bob = Caller("ann", "submit"), Caller("bob", "submit")
     asked = ((ann, one), (ann, other), (bob, one))
-    ids = [repeated_id("job", caller, key) for caller, key in asked]
+    ids = [idempotent_id("job", caller, key) for caller, key in asked]
     assert all(map(is_id, ids)) and (ids[0] == ids[1]) == (one == other) and ids[0] != ids[2]
 
 
@@ -62,5 +62,5 @@ def test_loopback(host: str, expected: bool) -> None:
 
 def test_streams_are_asked_for_by_accept() -> None:
     """Only its own media type makes a stream; a browser's wildcard does not."""
-    assert wants_stream("text/event-stream") and wants_stream("a/b, Text/Event-Stream;q=0.9")
-    assert not wants_stream("*/*") and not wants_stream("") and not wants_stream("text/event")
+    assert accepts_stream("text/event-stream") and accepts_stream("a/b, Text/Event-Stream;q=0.9")
+    assert not accepts_stream("*/*") and not accepts_stream("") and not accepts_stream("text/event")

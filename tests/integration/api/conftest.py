@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from chamfer_morph.server.api_server import ApiServer
-from chamfer_morph.server.context import Service
+from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.listener import address, listen
 from chamfer_morph.worker.settings import Settings
 from morph_engine import configure
@@ -39,12 +39,12 @@ class Api:
 
     Attributes:
         http: A client of it.
-        service: What its endpoints share.
+        context: What its endpoints share.
         settings: Its settings.
     """
 
     http: httpx.Client
-    service: Service
+    context: ServerContext
     settings: Settings
 
     def submit(self, **changes: Any) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Api:
     def running(self, run: RunRecord) -> str:
         """A job with two frames: the source moved by 1 and by 3 grid units along x."""
         job: str = self.submit(overrides=COARSE)["id"]
-        result = self.service.storage.result_path(job)
+        result = self.context.storage.result_path(job)
         result.parent.mkdir()
         with Spool.create(result, run) as spool:
             for index, moved in enumerate((1, 3)):
@@ -68,13 +68,13 @@ class Api:
         """The same, cancelled after its second frame."""
         job = self.running(run)
         assert self.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
-        with Spool.open(self.service.storage.result_path(job), writable=False) as spool:
+        with Spool.open(self.context.storage.result_path(job), writable=False) as spool:
             write_result(spool, status="partial")
         return job
 
     def uploads(self) -> list[Path]:
         """Files of uploads that are still lying about."""
-        return [path for path in self.service.storage.uploads.iterdir() if path.name[0] != "."]
+        return [path for path in self.context.storage.uploads.iterdir() if path.name[0] != "."]
 
 
 @pytest.fixture(scope="session")
@@ -95,7 +95,7 @@ def serving(settings: Settings) -> Iterator[Api]:
             assert thread.is_alive(), "the API did not start"
             time.sleep(0.01)
         with httpx.Client(base_url=address(settings, listener), timeout=60) as http:
-            yield Api(http, server.service, settings)
+            yield Api(http, server.context, settings)
     finally:
         server.should_exit = True
         thread.join(20)

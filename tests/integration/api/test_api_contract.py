@@ -110,7 +110,7 @@ def test_health_and_figures(api: Api) -> None:
 
 def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:
     """Without its tables the API answers 503, and is not ready for anything but that."""
-    with api.service.engine.begin() as connection:
+    with api.context.engine.begin() as connection:
         connection.exec_driver_sql("alter table morph_keys rename to gone")
     time.sleep(CACHE_SECONDS)  # until the keys are read again
     answer = api.http.get("/v1/jobs")

@@ -24,7 +24,7 @@ def _events(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
 
 
 def _log(api: Api, job: str, *types: str) -> None:
-    log = api.service.storage.events(job)
+    log = api.context.storage.events(job)
     log.path.parent.mkdir(exist_ok=True)
     for kind in types:
         log.append(kind, {"attempt": 1, "frame": 0, "frames": 3, "metrics": {}, "seconds": 1.0})
@@ -91,7 +91,7 @@ def test_fifty_watchers_share_one_look(api: Api) -> None:
     threads = [threading.Thread(target=watch) for _ in range(50)]
     for thread in threads:
         thread.start()
-    _wait(lambda: api.service.watches.watchers == 50)
+    _wait(lambda: api.context.event_hub.subscribers == 50)
     _log(api, job, "attempt", "frame")
     times = []
     for _ in range(20):
@@ -104,7 +104,7 @@ def test_fifty_watchers_share_one_look(api: Api) -> None:
     assert sorted(times)[len(times) // 2] < 1, "others are answered meanwhile"
     assert [events[-1] for events in seen] == ["state"] * 50
     assert all(events.count("frame") == 1 for events in seen)
-    _wait(lambda: api.service.watches.watchers == 0)
+    _wait(lambda: api.context.event_hub.subscribers == 0)
 
 
 def test_a_watcher_that_leaves_is_forgotten(api: Api) -> None:
@@ -116,8 +116,8 @@ def test_a_watcher_that_leaves_is_forgotten(api: Api) -> None:
             f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: {url.host}\r\n"
             "Accept: text/event-stream\r\n\r\n".encode()
         )
-        _wait(lambda: api.service.watches.watchers == 1)
-    _wait(lambda: api.service.watches.watchers == 0)
+        _wait(lambda: api.context.event_hub.subscribers == 1)
+    _wait(lambda: api.context.event_hub.subscribers == 0)
 
 
 def test_too_many_watchers_are_told_to_poll(make_api: Callable[..., Api]) -> None:
@@ -125,7 +125,7 @@ def test_too_many_watchers_are_told_to_poll(make_api: Callable[..., Api]) -> Non
     api = make_api(watchers=1)
     path = f"/v1/jobs/{api.submit()['id']}/events"
     with api.http.stream("GET", path, headers=STREAM):
-        _wait(lambda: api.service.watches.watchers == 1)
+        _wait(lambda: api.context.event_hub.subscribers == 1)
         refused = api.http.get(path, headers=STREAM)
         assert refused.status_code == 429 and "Retry-After" in refused.headers
         assert api.http.get(path).status_code == 200

@@ -82,7 +82,7 @@ def test_a_surface_that_takes_too_much_is_refused(
     job = api.running(run)
     answer = api.http.get(f"/v1/jobs/{job}/frames/0/surface")
     assert answer.status_code == 422 and "1 MiB" in answer.json()["detail"], answer.text
-    assert not list(api.service.storage.derived_dir(job).glob("surface*"))
+    assert not list(api.context.storage.derived_dir(job).glob("surface*"))
 
 
 def test_a_thumbnail_of_the_newest_frame(api: Api, run: RunRecord) -> None:
@@ -93,7 +93,7 @@ def test_a_thumbnail_of_the_newest_frame(api: Api, run: RunRecord) -> None:
     assert Image.open(io.BytesIO(answer.content)).size == (240, 180)
     known = {"If-None-Match": answer.headers["ETag"]}
     assert api.http.get(f"/v1/jobs/{job}/thumbnail", headers=known).status_code == 304
-    assert [p.name for p in api.service.storage.derived_dir(job).glob("*.webp")] == [
+    assert [p.name for p in api.context.storage.derived_dir(job).glob("*.webp")] == [
         "thumbnail-000002.webp"
     ]
     waiting = api.submit()["id"]
@@ -135,7 +135,7 @@ def test_exports_are_made_once_and_kept(
     table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
     rows = api.http.get(table["links"]["file"]).text.split()
     assert rows == ["frame,s2t", "0,1.0", "1,3.0"]
-    assert api.service.storage.job_bytes(job) > export["size"]
+    assert api.context.storage.job_bytes(job) > export["size"]
 
     later = make_api(data_dir=data)
     assert later.http.post(path, json=surface).status_code == 200
@@ -175,7 +175,7 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
 def test_an_export_can_be_deleted(api: Api, run: RunRecord) -> None:
     """With its file, and what killed ones have left behind goes with the next."""
     job = api.finished(run)
-    folder = api.service.storage.exports_dir(job)
+    folder = api.context.storage.exports_dir(job)
     path = f"/v1/jobs/{job}/exports"
     location = api.http.post(path, json={"format": "csv"}).headers["Location"]
     first = ready(api, location)

@@ -162,18 +162,18 @@ def test_limits_are_answered_with_a_time_to_retry(
         assert answer.status_code == 429 and int(answer.headers["Retry-After"]) > 0
     api = make_api(disk_bytes_per_key=1)
     assert api.http.post("/v1/meshes?name=a.obj", content=cube).status_code == 201
-    api.service.limits.measure_again("")
+    api.context.quotas.invalidate("")
     assert api.http.post("/v1/jobs", json=MORPH).status_code == 413
 
 
 def test_frames_and_metrics_are_there_while_the_job_runs(api: Api) -> None:
     """Every encoding holds the positions of the run directory; metrics come from the events."""
     job = api.submit(overrides={"sampling.points_per_cell_edge": 2})
-    result = api.service.storage.result_path(job["id"])
+    result = api.context.storage.result_path(job["id"])
     result.parent.mkdir()
     config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 3})
     run = prepare("sphere", "star", config)
-    log = api.service.storage.events(job["id"])
+    log = api.context.storage.events(job["id"])
     with Spool.create(result, run) as spool:
         for index in range(2):
             spool.append(index, run.source_points + index, {"two_sided": index})

@@ -20,7 +20,7 @@ def frames_of(api, job):
 
 def add_frame(api, job, run, index, moved):
     """Finish one frame more, and leave no result."""
-    with Spool.open(api.service.storage.result_path(job)) as spool:
+    with Spool.open(api.context.storage.result_path(job)) as spool:
         spool.append(index, run.source_points + np.float32([moved, 0, 0]), {"s2t": moved})
 
 
@@ -28,7 +28,7 @@ def test_frames_without_a_result_are_made_one(api, run):
     """The engine was killed before it could write it."""
     job = api.running(run)
     api.http.post(f"/v1/jobs/{job}/cancel")
-    assert not api.service.storage.result_path(job).exists()
+    assert not api.context.storage.result_path(job).exists()
     assert frames_of(api, job) == 2
 
 

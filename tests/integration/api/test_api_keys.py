@@ -31,7 +31,7 @@ def test_the_first_key_closes_the_door(either: Api) -> None:
         wrong = either.http.get("/v1/jobs", headers={"Authorization": header})
         assert wrong.status_code == 401, header
     assert either.http.get("/v1/jobs", headers=root).status_code == 200
-    with either.service.engine.connect() as connection:
+    with either.context.engine.connect() as connection:
         row = connection.execute(sa.select(KEYS)).one()
     assert root["Authorization"].split()[1] not in str(row), "only a digest is stored"
     assert either.http.delete("/v1/keys/root", headers=root).status_code == 204
@@ -98,7 +98,7 @@ def test_an_admin_deletes_its_own_upload_first(api: Api, cube: bytes) -> None:
     api.http.post(f"/v1/jobs/{job}/cancel", headers=root)
     assert api.http.delete(path, headers=root).status_code == 204
     assert api.http.get(path, headers=ann).status_code == 404
-    assert api.service.storage.mesh_file(mesh) is None
+    assert api.context.storage.mesh_file(mesh) is None
 
 
 def test_pages_of_other_sites_stay_out(api: Api) -> None:

@@ -94,7 +94,7 @@ def test_every_answer_carries_the_policy(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("on purpose")
 
-    monkeypatch.setattr(type(api.service.queue), "get", fail)
+    monkeypatch.setattr(type(api.context.queue), "get", fail)
     looser = api.http.get("/docs").headers["content-security-policy"]
     assert "script-src 'self' 'unsafe-inline'" in looser and "default-src 'self'" in looser
     statuses = {

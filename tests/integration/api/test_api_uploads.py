@@ -30,7 +30,7 @@ def test_a_mesh_is_stored_and_described(either: Api, cube: bytes) -> None:
     assert [item["id"] for item in either.http.get("/v1/meshes").json()["items"]] == [mesh["id"]]
     assert either.http.delete(f"/v1/meshes/{mesh['id']}").status_code == 204
     assert either.http.get(f"/v1/meshes/{mesh['id']}").status_code == 404
-    assert either.service.storage.mesh_file(mesh["id"]) is None
+    assert either.context.storage.mesh_file(mesh["id"]) is None
     assert not either.uploads()
 
 

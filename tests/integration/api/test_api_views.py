@@ -117,7 +117,7 @@ def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) ->
 
 def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
     """Who leaves while another preview is under way costs nothing."""
-    path, previews = "/v1/shapes/star/particles?points_per_cell_edge=", api.service.previews
+    path, previews = "/v1/shapes/star/particles?points_per_cell_edge=", api.context.previews
     with ThreadPoolExecutor() as pool:
         first = pool.submit(api.http.get, f"{path}5")
         while not previews._running:

@@ -1,0 +1,107 @@
+"""What a request asks for of a job: the job itself, a frame, its run record, its result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from chamfer_morph.schemas.ids import is_id
+from chamfer_morph.server.context import ServerContext
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.http.problems import ProblemError, not_found
+from chamfer_morph.worker.frame_reader import Frame, read_frame, read_record
+from chamfer_morph.worker.job_state import Action, allowed
+from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.tasks.partial_result import keep_result
+from morph_engine.results.run_record import RunRecord
+
+
+def find_job(job_id: str, caller: Caller, context: ServerContext) -> JobRecord:
+    """A job that the caller may see.
+
+    Raises:
+        ProblemError: 404.
+    """
+    record = context.queue.get(job_id) if is_id(job_id) else None
+    if record is None or not caller.can_see(record.owner):
+        raise not_found("job", job_id)
+    return record
+
+
+def find_frame(record: JobRecord, index: int, context: ServerContext) -> Frame:
+    """A frame of a job; -1 is the last one.
+
+    Raises:
+        ProblemError: 404.
+        ResultError: It is damaged.
+    """
+    frame = read_frame(context.storage.result_path(record.id), index, record.state.finished)
+    if frame is None:
+        yet = "" if record.state.finished else " yet"
+        raise ProblemError(
+            404,
+            f"There is no frame {index}{yet}.",
+            "See the job's progress for the number of frames.",
+        )
+    return frame
+
+
+def find_run_record(record: JobRecord, context: ServerContext) -> RunRecord:
+    """What a job is made of.
+
+    Raises:
+        ProblemError: 404, it has not begun.
+    """
+    run = read_record(context.storage.result_path(record.id))
+    if run is None:
+        if record.state.finished:
+            raise ProblemError(
+                404, "The job never began, and has no particles.", "Retry or resume it."
+            )
+        raise ProblemError(
+            404,
+            "The job has not begun, and has no particles yet.",
+            "Wait until it runs; /v1/shapes and /v1/meshes show the particles of a shape before.",
+        )
+    return run
+
+
+def find_result(record: JobRecord, context: ServerContext) -> Path:
+    """The result file of a finished job, with all its frames; blocks.
+
+    Raises:
+        ProblemError: 409, there is none.
+        MorphError: Its engine was killed, and its frames cannot be made a result.
+    """
+    if record.state.finished:
+        keep_result(context.storage, record.id, context.settings)
+    path = context.storage.result_path(record.id)
+    if not record.state.finished or not path.is_file():
+        raise ProblemError(
+            409,
+            f"The job is {record.state.value.replace('_', ' ')} and has no result.",
+            "Resume or retry it; it has finished no frame."
+            if record.state.finished
+            else "Wait for it to finish; single frames can be fetched while it runs.",
+            headers={} if record.state.finished else {"Retry-After": "5"},
+        )
+    return path
+
+
+def check_allowed(record: JobRecord, action: Action) -> None:
+    """Refuse what makes no sense in the state of a job.
+
+    Raises:
+        ProblemError: 409.
+    """
+    if allowed(record.state, action):
+        return
+    remedies = {
+        "cancel": "Nothing is left to stop.",
+        "resume": "Only a failed, cancelled or timed out job can go on; retry starts afresh.",
+        "retry": "Cancel it first.",
+        "delete": "Cancel it first.",
+    }
+    verb = {"cancel": "cancelled", "resume": "resumed", "retry": "retried", "delete": "deleted"}
+    raise ProblemError(
+        409, f"A {record.state.value} job cannot be {verb[action]}.", remedies[action]
+    )

@@ -1,0 +1,116 @@
+"""A job as the API shows it."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from chamfer_morph.schemas import Job, JobState, Progress
+from chamfer_morph.server.context import ServerContext
+from chamfer_morph.worker.progress import JobProgress, read_progress
+from chamfer_morph.worker.queue import RECORDS_KEPT, JobRecord
+
+
+def file_stem(record: JobRecord) -> str:
+    """What to call files of a job, as `morph run` would: sphere-to-bunny."""
+    ends = [str(record.attributes.get(f"{role}_name", role)) for role in ("source", "target")]
+    plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
+    partial = "" if record.state is JobState.SUCCEEDED else "-partial"
+    return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}"
+
+
+class _JobSnapshot(NamedTuple):
+    """All that decides how a job is shown; equal as long as nothing has changed."""
+
+    record: JobRecord
+    progress: JobProgress
+    position: int | None
+    slots: int
+
+
+def to_job(record: JobRecord, context: ServerContext) -> Job:
+    """A job as the API shows it.
+
+    Args:
+        record: As the queue knows it.
+        context: Where to look for its progress.
+    """
+    return _to_job(_snapshot(record, context))
+
+
+def to_json(record: JobRecord, context: ServerContext, *, alone: bool = True) -> bytes:
+    """A job as the API shows it, in JSON.
+
+    Args:
+        record: As the queue knows it.
+        context: Where to look for its progress.
+        alone: Whether to count the jobs before it too, which takes a query.
+    """
+    return _encoded(_snapshot(record, context, alone=alone))
+
+
+def _snapshot(record: JobRecord, context: ServerContext, *, alone: bool = True) -> _JobSnapshot:
+    position = None
+    if alone and record.state is JobState.QUEUED:
+        position = context.queue.position(record.id)
+    progress = read_progress(context.storage, record.id, record.spec)
+    return _JobSnapshot(record, progress, position, context.settings.workers)
+
+
+@lru_cache(maxsize=RECORDS_KEPT)
+def _encoded(snapshot: _JobSnapshot) -> bytes:
+    """A job as it stands, encoded once for all who ask before it changes."""
+    return _to_job(snapshot).model_dump_json().encode()
+
+
+def _to_job(snapshot: _JobSnapshot) -> Job:
+    record, progress = snapshot.record, snapshot.progress
+    config = record.spec.config
+    return Job(
+        id=record.id,
+        name=record.name,
+        state=record.state,
+        source=record.spec.source,
+        target=record.spec.target,
+        source_name=str(record.attributes.get("source_name", "")),
+        target_name=str(record.attributes.get("target_name", "")),
+        method=config["method"],
+        preset=str(record.attributes.get("preset", config["preset"])),
+        seed=config["seed"],
+        device=record.spec.device,
+        priority=record.priority,
+        sweep=record.sweep,
+        owner=record.owner,
+        created_at=record.created_at,
+        started_at=record.started_at,
+        finished_at=record.finished_at,
+        progress=Progress(
+            frame=progress.frame,
+            frames=progress.frames,
+            attempt=progress.attempt,
+            metrics=progress.metrics,
+            seconds_left=_seconds_left(snapshot),
+        ),
+        queue_position=snapshot.position,
+        outcome=record.outcome,
+        problem=record.problem,
+    )
+
+
+def _seconds_left(snapshot: _JobSnapshot) -> float | None:
+    """Estimate of the time left [s].
+
+    While a job waits, this is its own estimate and as much for each job before it, shared out over
+    the slots of this machine.
+    """
+    record = snapshot.record
+    if record.state.finished:
+        return None
+    estimated = float(record.attributes.get("estimate", 0))
+    measured = snapshot.progress.seconds_left
+    left = estimated if measured is None else measured
+    if record.state is JobState.QUEUED:
+        left += estimated * (snapshot.position or 0) / max(snapshot.slots, 1)
+    return left
