@@ -12,7 +12,7 @@ export PATH := $(abspath $(BIN)):$(PATH)
 CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page test test-browser test-faults lint format bench pictures lock clean
+.PHONY: help install demo page test test-browser test-faults test-distribution lint format bench pictures lock clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 21
@@ -49,6 +49,9 @@ test-browser: install page  ## the web page in headless Chromium, against the re
 
 test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; 10 minutes
 	$(BIN)/python -m pytest -m faults
+
+test-distribution: install page  ## the wheel on each Python of 3.10-3.13 that is here
+	$(BIN)/python -m pytest -m distribution
 
 lint: install  ## style, types and import contracts
 	$(BIN)/ruff check .
