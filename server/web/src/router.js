@@ -3,6 +3,8 @@
 import { Problem } from "./api.js";
 import { fill, h } from "./dom.js";
 import { askAgain } from "./key.js";
+import { go, onVisit, setTitle } from "./navigation.js";
+import { problemNotice } from "./problem_notice.js";
 
 // on its way together with the view that will ask for it
 const scene = () => import("./viewer/viewer.js").catch(() => {});
@@ -16,41 +18,18 @@ const ROUTES = [
 
 let root;
 let leaving = new AbortController();
-let shown = null;
+let first = true;
 
 /** Show views in an element from now on, the one of the present address first. */
 export function start(element) {
   root = element;
-  addEventListener("popstate", () => location.pathname + location.search !== shown && show());
   document.addEventListener("click", (event) => {
     const link = event.target.closest?.("a[href]");
     if (!link || event.defaultPrevented || !ours(link, event)) return;
     event.preventDefault();
     go(link.pathname + link.search);
   });
-  return show();
-}
-
-/** Go to an address of the page. */
-export function go(path) {
-  history.pushState(null, "", path);
-  scrollTo(0, 0);
-  return show();
-}
-
-/** Change the query without leaving the view, as filters do; undefined and "" take a key away. */
-export function keep(query) {
-  const search = new URLSearchParams();
-  for (const [name, value] of Object.entries(query)) {
-    for (const one of [value].flat()) if (one) search.append(name, one);
-  }
-  history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : ""));
-  shown = location.pathname + location.search;
-}
-
-/** The title of the document, of which each view is a part. */
-export function title(text) {
-  document.title = text ? `${text} · morph` : "morph";
+  return onVisit(show);
 }
 
 async function show() {
@@ -58,8 +37,8 @@ async function show() {
   askAgain();
   leaving = new AbortController();
   const { signal } = leaving;
-  const first = shown === null;
-  shown = location.pathname + location.search;
+  const moved = !first;
+  first = false;
   const query = Object.fromEntries(new URLSearchParams(location.search));
   for (const link of document.querySelectorAll("header nav a")) {
     if (link.pathname === location.pathname) link.setAttribute("aria-current", "page");
@@ -71,11 +50,11 @@ async function show() {
     const view = await load();
     if (signal.aborted) return;
     fill(root);
-    if (!first) root.focus({ preventScroll: true });
+    if (moved) root.focus({ preventScroll: true });
     await view.show(root, { ...query, ...params }, signal);
   } catch (error) {
     if (signal.aborted || error.name === "AbortError") return;
-    fill(root, problem(error));
+    fill(root, problemNotice(error));
     if (!(error instanceof Problem)) throw error;
   }
 }
@@ -97,20 +76,10 @@ function ours(link, event) {
 }
 
 function notFound() {
-  title("Not found");
+  setTitle("Not found");
   fill(
     root,
     h("h1", null, "There is nothing here"),
     h("p", null, h("a", { href: "/" }, "All jobs")),
-  );
-}
-
-/** A problem as a block that says what is wrong and what to do about it. */
-export function problem(error) {
-  return h(
-    "div",
-    { class: "notice bad", role: "alert" },
-    h("p", null, error.message),
-    error.remedy && h("p", { class: "quiet" }, error.remedy),
   );
 }

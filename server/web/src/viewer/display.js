@@ -1,7 +1,7 @@
 /** What the viewer shows and how: one set of controls for one view or for several. */
 import { h } from "../dom.js";
 import { number } from "../format.js";
-import { COLOURS } from "./colours.js";
+import { COLOURS } from "./colors.js";
 
 const PLACE = "morph-display";
 const EXTENT = 14; // half edge of the domain's safe part [grid units]

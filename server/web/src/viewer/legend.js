@@ -2,7 +2,7 @@
 import { fill, h } from "../dom.js";
 import { number } from "../format.js";
 import { LEVELS, palette } from "./palettes.js";
-import { COLOURS } from "./colours.js";
+import { COLOURS } from "./colors.js";
 
 const STEPS = 4;
 

@@ -2,7 +2,7 @@
 import { points } from "../api.js";
 import { fill, h } from "../dom.js";
 import { number, percent } from "../format.js";
-import { COLOURS, decisive, range, values } from "./colours.js";
+import { COLOURS, decisive, range, values } from "./colors.js";
 import { Frames } from "./frames.js";
 import { Legend } from "./legend.js";
 import { nearest } from "./nearest.js";

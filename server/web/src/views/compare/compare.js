@@ -6,22 +6,23 @@ import "./compare.css";
 import { get } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { jobName, lives, state as word } from "../../format.js";
-import { problem, title } from "../../router.js";
-import { COLOURS } from "../../viewer/colours.js";
+import { setTitle } from "../../navigation.js";
+import { problemNotice } from "../../problem_notice.js";
+import { COLOURS } from "../../viewer/colors.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
 import { Timeline } from "../../viewer/timeline.js";
 import { follow } from "./follow.js";
 import { Links } from "./links.js";
-import { MOST_COMPARED } from "./most.js";
+import { MAX_COMPARED } from "./max_compared.js";
 import { Overlay } from "./overlay.js";
 import { table } from "./table.js";
 
 
 /** Show the jobs that the query names, `?jobs=a,b`. */
 export async function show(root, { jobs: wanted = "" }, signal) {
-  title("Compare");
-  const ids = [...new Set(wanted.split(",").filter(Boolean))].slice(0, MOST_COMPARED);
+  setTitle("Compare");
+  const ids = [...new Set(wanted.split(",").filter(Boolean))].slice(0, MAX_COMPARED);
   if (ids.length < 2) {
     fill(
       root,
@@ -134,7 +135,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       const more = panels[i].frames.known > before && index === timeline.index;
       if (more && index > panels[i].index) showIn(panels[i], index);
       panels[i].describe();
-    }).catch((error) => signal.aborted || fill(heads[i], problem(error)));
+    }).catch((error) => signal.aborted || fill(heads[i], problemNotice(error)));
   });
 }
 

@@ -1,5 +1,5 @@
 /** Several panels as one: the same camera, the same display, the same scale of colours. */
-import { join } from "../../viewer/colours.js";
+import { join } from "../../viewer/colors.js";
 
 export class Links {
   constructor() {

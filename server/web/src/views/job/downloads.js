@@ -2,8 +2,8 @@
 import { Problem, get, pause, post, save } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { bytes, jobFileName, lives, percent } from "../../format.js";
-import { COLOURS } from "../../viewer/colours.js";
-import { problem } from "../../router.js";
+import { COLOURS } from "../../viewer/colors.js";
+import { problemNotice } from "../../problem_notice.js";
 
 const ASK_MILLISECONDS = 500;
 
@@ -182,13 +182,13 @@ export class Downloads {
         ),
       );
     } catch (error) {
-      if (!this.signal.aborted) fill(state, problem(error));
+      if (!this.signal.aborted) fill(state, problemNotice(error));
     }
   }
 
   #fault(error) {
     if (this.signal.aborted) return;
     if (!(error instanceof Problem)) throw error;
-    fill(this.trouble, problem(error));
+    fill(this.trouble, problemNotice(error));
   }
 }

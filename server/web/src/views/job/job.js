@@ -8,7 +8,8 @@ import { Problem, get } from "../../api.js";
 import { Curves } from "../../charts/curves.js";
 import { fill, h } from "../../dom.js";
 import { jobFileName, jobName, lives, state as word } from "../../format.js";
-import { go, problem, title } from "../../router.js";
+import { go, setTitle } from "../../navigation.js";
+import { problemNotice } from "../../problem_notice.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
 import { Timeline } from "../../viewer/timeline.js";
@@ -21,7 +22,7 @@ import { Watch } from "./watch.js";
 
 /** Show the job with the id of the address. */
 export async function show(root, { id }, signal) {
-  title("Job");
+  setTitle("Job");
   const ending = new AbortController(); // when the job has gone
   const there = AbortSignal.any([signal, ending.signal]);
   const display = new Display({ onChange: (state) => panel.setDisplay(state) });
@@ -42,7 +43,7 @@ export async function show(root, { id }, signal) {
 
   let known = null;
   const onJob = (job) => {
-    title(jobName(job));
+    setTitle(jobName(job));
     if (known && known !== job.state) announce(`The job is ${word(job.state).toLowerCase()}.`);
     known = job.state;
     summary.update(job);
@@ -82,7 +83,7 @@ export async function show(root, { id }, signal) {
   const gone = (error) => {
     if (signal.aborted) return;
     ending.abort();
-    fill(root, problem(error));
+    fill(root, problemNotice(error));
   };
   const watch = new Watch(id, signal, {
     onJob,
@@ -125,6 +126,6 @@ export async function show(root, { id }, signal) {
     aside.append(settings(job, config, signal));
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
-    aside.append(problem(error));
+    aside.append(problemNotice(error));
   }
 }

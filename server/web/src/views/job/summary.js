@@ -3,8 +3,9 @@ import { announce } from "../../announce.js";
 import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
 import { count, duration, jobName, lives, number, plural, state as word, when } from "../../format.js";
-import { go, problem } from "../../router.js";
-import { MOST_COMPARED } from "../compare/most.js";
+import { go } from "../../navigation.js";
+import { problemNotice } from "../../problem_notice.js";
+import { MAX_COMPARED } from "../compare/max_compared.js";
 import { actions } from "../jobs/actions.js";
 
 const GONE = "The service does not answer. The page goes on by itself once it is back.";
@@ -58,7 +59,7 @@ export class Summary {
       h(
         "div",
         { class: "row" },
-        h("button", { type: "button", class: "compact", on: { click: () => this.#compare(job).catch((error) => fill(this.trouble, problem(error))) } }, "Compare with…"),
+        h("button", { type: "button", class: "compact", on: { click: () => this.#compare(job).catch((error) => fill(this.trouble, problemNotice(error))) } }, "Compare with…"),
       ),
     ]);
     this.#part("standing", [state, progress, job.queue_position], () => standing(job));
@@ -83,7 +84,7 @@ export class Summary {
     const boxes = [];
     const most = () => {
       const chosen = boxes.filter((box) => box.checked).length;
-      for (const box of boxes) box.disabled = chosen >= MOST_COMPARED - 1 && !box.checked;
+      for (const box of boxes) box.disabled = chosen >= MAX_COMPARED - 1 && !box.checked;
       open.disabled = chosen === 0;
     };
     const open = h("button", { class: "primary", value: "compare", disabled: true }, "Compare");

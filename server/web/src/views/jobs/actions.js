@@ -5,7 +5,7 @@ import { del, post } from "../../api.js";
 import { confirmed } from "../../confirm.js";
 import { h } from "../../dom.js";
 import { jobName, lives } from "../../format.js";
-import { problem } from "../../router.js";
+import { problemNotice } from "../../problem_notice.js";
 
 /**
  * The buttons of a job.
@@ -29,7 +29,7 @@ export function actions(job, changed) {
         }
       } catch (error) {
         if (error.name !== "Problem") throw error;
-        trouble.replaceChildren(problem(error));
+        trouble.replaceChildren(problemNotice(error));
       } finally {
         pressed.removeAttribute("aria-disabled");
       }

@@ -6,7 +6,8 @@ import { fill, h } from "../../dom.js";
 import { jobName, lives, state as stateWord } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { poll } from "../../polling.js";
-import { go, keep, problem, title } from "../../router.js";
+import { go, replaceQuery, setTitle } from "../../navigation.js";
+import { problemNotice } from "../../problem_notice.js";
 import { Filters } from "./filters.js";
 import { Row } from "./row.js";
 import { Selection } from "./selection.js";
@@ -26,7 +27,7 @@ const FIRST = {
 };
 
 export async function show(root, params, signal) {
-  title("Jobs");
+  setTitle("Jobs");
   const list = new JobList(params, signal);
   fill(root, list.element);
   await list.run();
@@ -65,7 +66,7 @@ class JobList {
     return poll(
       () => this.refresh(),
       this.signal,
-      (error) => fill(this.trouble, error && problem(error)),
+      (error) => fill(this.trouble, error && problemNotice(error)),
     );
   }
 
@@ -88,8 +89,8 @@ class JobList {
   filter(wanted) {
     this.params = wanted;
     this.nothing = null;
-    keep(wanted);
-    this.refresh().catch((error) => fill(this.trouble, problem(error)));
+    replaceQuery(wanted);
+    this.refresh().catch((error) => fill(this.trouble, problemNotice(error)));
   }
 
   /** The list leaves out places in the queue; those of the jobs next in turn are worth a look. */
@@ -174,7 +175,7 @@ class JobList {
         const job = await post("/jobs", FIRST, { idempotencyKey: key });
         go(`/jobs/${job.id}`);
       } catch (error) {
-        fill(trouble, problem(error));
+        fill(trouble, problemNotice(error));
         event.target.disabled = false;
       }
     };

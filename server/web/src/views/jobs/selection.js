@@ -2,7 +2,7 @@
 
 import { fill, h } from "../../dom.js";
 import { jobName } from "../../format.js";
-import { MOST_COMPARED } from "../compare/most.js";
+import { MAX_COMPARED } from "../compare/max_compared.js";
 
 /** What is chosen, and the bar that leads to the comparison. */
 export class Selection {
@@ -22,7 +22,7 @@ export class Selection {
     const input = h("input", {
       type: "checkbox",
       "aria-label": `Compare ${jobName(job)}`,
-      disabled: this.chosen.size >= MOST_COMPARED,
+      disabled: this.chosen.size >= MAX_COMPARED,
       on: { change },
     });
     this.boxes.set(job.id, input);
@@ -38,7 +38,7 @@ export class Selection {
   draw() {
     const size = this.chosen.size;
     this.element.hidden = size === 0;
-    for (const [id, box] of this.boxes) box.disabled = size >= MOST_COMPARED && !this.chosen.has(id);
+    for (const [id, box] of this.boxes) box.disabled = size >= MAX_COMPARED && !this.chosen.has(id);
     const clear = () => {
       for (const id of this.chosen) this.boxes.get(id).checked = false;
       this.chosen.clear();

@@ -3,7 +3,7 @@
 import { get, upload } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { count, plural } from "../../format.js";
-import { problem } from "../../router.js";
+import { problemNotice } from "../../problem_notice.js";
 import { Preview } from "./preview.js";
 
 const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf";
@@ -96,7 +96,7 @@ export class Chooser {
     } catch (error) {
       if (signal.aborted) return;
       if (error.name !== "Problem") throw error;
-      fill(this.trouble, problem(error));
+      fill(this.trouble, problemNotice(error));
     } finally {
       if (this.uploading === own) {
         this.uploading = null;
@@ -268,7 +268,7 @@ export class Chooser {
     } catch (error) {
       if (this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
-      fill(this.trouble, problem(error));
+      fill(this.trouble, problemNotice(error));
     }
   }
 

@@ -4,7 +4,8 @@ import { get, post } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { bytes, duration, plural } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
-import { go, keep, problem, title } from "../../router.js";
+import { go, replaceQuery, setTitle } from "../../navigation.js";
+import { problemNotice } from "../../problem_notice.js";
 import { Chooser } from "./chooser.js";
 import { flat, fromJob, fromQuery, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
@@ -19,7 +20,7 @@ const MAIN = {
 };
 
 export async function show(root, params, signal) {
-  title("New morph");
+  setTitle("New morph");
   fill(root, h("h1", null, "New morph"), h("p", { class: "quiet", role: "status" }, "One moment."));
   const [methods, presets, shapes, schema] = await Promise.all(
     ["/methods", "/presets", "/shapes", "/schemas/config"].map((path) => get(path, { signal })),
@@ -100,14 +101,14 @@ class Form {
     } catch (error) {
       if (this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
-      fill(this.trouble, problem(error));
+      fill(this.trouble, problemNotice(error));
     }
   }
 
   async take(change) {
     this.draft = { ...this.draft, ...change };
     this.key = freshKey();
-    keep(toQuery(this.draft));
+    replaceQuery(toQuery(this.draft));
     const { source, target, methods, preset, name, overrides } = this.draft;
     const values = await this.valuesOf(preset);
     if (this.signal.aborted || this.draft.preset !== preset) return;
@@ -198,7 +199,7 @@ class Form {
       go(path === "/jobs" ? `/jobs/${made.id}` : `/?sweep=${made.id}`);
     } catch (error) {
       if (error.name !== "Problem") throw error;
-      if (!this.settings.fault(error)) fill(this.trouble, problem(error));
+      if (!this.settings.fault(error)) fill(this.trouble, problemNotice(error));
     } finally {
       this.sending = false;
       this.submit.removeAttribute("aria-disabled");

@@ -3,7 +3,7 @@
 import { points } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
-import { problem } from "../../router.js";
+import { problemNotice } from "../../problem_notice.js";
 import { upright } from "../../viewer/display.js";
 
 const PATIENCE = 250; // [ms] of quiet before particles are asked for
@@ -51,7 +51,7 @@ export class Preview {
       if (signal.aborted || this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.count);
-      fill(this.warnings, problem(error));
+      fill(this.warnings, problemNotice(error));
     } finally {
       this.scene.removeAttribute("aria-busy");
     }

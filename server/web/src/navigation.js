@@ -1,0 +1,40 @@
+/** The address of the page: going to another, changing its query, and the title it has. */
+
+let show = () => {};
+let shown = null;
+
+/** Call a function with each address that is visited from now on, the present one first. */
+export function onVisit(callback) {
+  show = () => {
+    shown = address();
+    return callback();
+  };
+  addEventListener("popstate", () => address() !== shown && show());
+  return show();
+}
+
+/** Go to an address of the page. */
+export function go(path) {
+  history.pushState(null, "", path);
+  scrollTo(0, 0);
+  return show();
+}
+
+/** Change the query without leaving the view, as filters do; undefined and "" take a key away. */
+export function replaceQuery(query) {
+  const search = new URLSearchParams();
+  for (const [name, value] of Object.entries(query)) {
+    for (const one of [value].flat()) if (one) search.append(name, one);
+  }
+  history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : ""));
+  shown = address();
+}
+
+/** Set the title of the document, of which each view gives a part. */
+export function setTitle(text) {
+  document.title = text ? `${text} · morph` : "morph";
+}
+
+function address() {
+  return location.pathname + location.search;
+}
