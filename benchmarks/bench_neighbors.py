@@ -13,7 +13,7 @@ from benchmarks.peers.kdtree import KdTreeNeighbors
 from benchmarks.rows import Row, speedup, table
 from benchmarks.timing import in_turns
 from morph_engine import backend
-from morph_engine.geometry.neighbors import NeighborIndex
+from morph_engine.geometry.neighbor_index import NeighborIndex
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import resolve_shape
 

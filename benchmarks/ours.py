@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from benchmarks.scene import DRAG, DT, GRID_MIN, LAMBDA, MU, SMOOTHING, Layer, Scene
 from morph_engine import backend
 from morph_engine.mpm.constitutive import NEO_HOOKEAN
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
+from morph_engine.mpm.simulation import Material, Simulation
 from morph_engine.mpm.state import Particles
-from morph_engine.mpm.step import Physics, Simulation
 
 
 class EngineStep:
@@ -31,15 +31,15 @@ class EngineStep:
         self._original = np.argsort(order)
         self.simulation = Simulation(
             scene.volume[order],
-            geometry=Geometry(),
-            physics=Physics(
+            grid=Grid(),
+            material=Material(
                 model=NEO_HOOKEAN,
                 lame_lambda=LAMBDA,
                 lame_mu=MU,
                 particle_mass=scene.mass,
                 drag=DRAG,
-                dt=DT,
             ),
+            dt=DT,
             transitions=step_count,
             domain=-GRID_MIN,
         )

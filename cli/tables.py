@@ -155,7 +155,7 @@ def print_summary(document: Mapping[str, Any]) -> None:
 
 def print_metrics(values: Mapping[str, float]) -> None:
     """Metrics with their units and meanings on standard output."""
-    from morph_engine.metrics.point_metrics import METRICS
+    from morph_engine.metrics.definitions import METRICS
 
     print_table(
         ("metric", "value", "unit", "meaning"),

@@ -20,10 +20,12 @@ import trimesh
 
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.point_cloud import Points
 from morph_engine.geometry.sampling import HALF_EXTENT, SAFE_HALF_EXTENT, sample_lattice
 from morph_engine.geometry.shapes import resolve_shape
-from morph_engine.metrics.fill import fill_metrics, outside_metrics
-from morph_engine.metrics.point_metrics import Points, chamfer_metrics, deformation_metrics
+from morph_engine.metrics.chamfer import chamfer_metrics
+from morph_engine.metrics.deformation import deformation_metrics
+from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.results.trajectory import Trajectory
 
 __all__ = ["DEFAULT_SPACING", "Comparable", "Measurement", "Reference", "compare", "measure"]
@@ -42,7 +44,7 @@ class Measurement:
     """Numbers, and what they were measured against.
 
     Attributes:
-        values: Metric name to value, in the order and meaning of `point_metrics.METRICS`.
+        values: Metric name to value, in the order and meaning of `metrics.METRICS`.
         reference: What the target points are: ``volume`` (they fill it) or ``surface``.
         particle_count: Number of particles, lost ones included.
         target_count: Number of target points.

@@ -33,8 +33,9 @@ from morph_engine.geometry.sampling import (
 )
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.methods import FrameOutcome, Method, Problem
-from morph_engine.metrics.fill import fill_metrics, outside_metrics
-from morph_engine.metrics.point_metrics import chamfer_metrics, deformation_metrics, determinants
+from morph_engine.metrics.chamfer import chamfer_metrics
+from morph_engine.metrics.deformation import deformation_metrics, determinants
+from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.events import Event
 from morph_engine.presets import configure
 from morph_engine.results.run_record import Geometry, RunRecord

@@ -15,7 +15,7 @@ from matplotlib.ticker import NullFormatter
 from chamfer_morph.reproduction.printed import SHAPES, TARGETS
 from chamfer_morph.reproduction.store import Record
 from chamfer_morph.reproduction.tables import Line, Table
-from morph_engine.metrics.point_metrics import METRICS
+from morph_engine.metrics.definitions import METRICS
 
 # Okabe and Ito: told apart by readers with any common colour vision
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"

@@ -18,7 +18,7 @@ from chamfer_morph.reproduction.charts import BLACK, VERMILION, style
 from chamfer_morph.reproduction.particles import film_strip
 from chamfer_morph.reproduction.run import Run
 from chamfer_morph.reproduction.store import Store
-from morph_engine.metrics.fill import density_ratio
+from morph_engine.metrics.volume import density_ratio
 from morph_engine.rendering.pictures import height_colors, look
 
 Array = NDArray[np.float64]

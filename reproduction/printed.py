@@ -1,6 +1,6 @@
 """What has been published: every number of the paper's tables, and of the published program.
 
-Metrics have the names and units of `metrics.point_metrics`; shares are 0 to 1. Numbers of the 2D
+Metrics have the names and units of `morph_engine.metrics`; shares are 0 to 1. Numbers of the 2D
 experiment stand with it, in `chamfer_morph.reproduction.planar`.
 """
 

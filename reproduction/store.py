@@ -20,9 +20,9 @@ from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_deviation
 from morph_engine.results.run_record import software_versions
 from morph_engine.results.trajectory import Trajectory
-from morph_engine.surface import deviation, surface
 
 CURVES = (
     "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "overlap_h10", "many_to_one",
@@ -41,7 +41,7 @@ CURVE_DIGITS = 6
 class Record(BaseModel):
     """What a run has come to.
 
-    Units are those of `morph_engine.metrics.point_metrics.METRICS`.
+    Units are those of `morph_engine.metrics.definitions.METRICS`.
     """
 
     model_config = ConfigDict(frozen=True, ser_json_inf_nan="constants")
@@ -154,8 +154,8 @@ def _surface(result: Trajectory) -> dict[str, float]:
     to_grid = np.linalg.inv(result.transform)
     vertices = target.vertices @ to_grid[:3, :3].T + to_grid[:3, 3]
     spacing = MorphConfig.model_validate(result.config).spacing
-    found = surface(result.positions(-1), spacing)
-    return {"surface_mean": deviation(found, replace(target, vertices=vertices))["mean"]}
+    found = reconstruct_surface(result.positions(-1), spacing)
+    return {"surface_mean": surface_deviation(found, replace(target, vertices=vertices))["mean"]}
 
 
 def measured(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:

@@ -13,7 +13,7 @@ from functools import cached_property
 from chamfer_morph.reproduction import printed
 from chamfer_morph.reproduction.experiment import Experiment, Row
 from chamfer_morph.reproduction.store import Record
-from morph_engine.metrics.point_metrics import METRICS
+from morph_engine.metrics.definitions import METRICS
 
 COLUMNS = (
     "row", "metric", "printed", "published_program", "ours", "standard_deviation", "repeats",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from morph_engine.morphing import morph
 from morph_engine.presets import configure
-from morph_engine.rendering.palette import DIVERGING
+from morph_engine.rendering.colormap import DIVERGING
 from morph_engine.rendering.pictures import Camera, look, picture
 from morph_engine.results.selection import Selection, Snapshot
 from morph_engine.results.trajectory import Trajectory

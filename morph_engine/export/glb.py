@@ -10,7 +10,7 @@ import numpy.typing as npt
 import trimesh
 
 from morph_engine.export.format import Format
-from morph_engine.rendering import palette
+from morph_engine.rendering import colormap
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.selection import Selection, Snapshot
 
@@ -33,9 +33,9 @@ def _colors(snapshot: Snapshot) -> npt.NDArray[np.uint8] | None:
     """RGBA by the first field, shape [v, 4]."""
     for name, values in snapshot.fields.items():
         diverging = FIELDS[name].diverging
-        low, high = palette.limits(values, diverging=diverging)
-        chosen = palette.DIVERGING if diverging else palette.SEQUENTIAL
-        rgb = palette.colors(values, low, high, palette=chosen)
+        low, high = colormap.limits(values, diverging=diverging)
+        chosen = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
+        rgb = colormap.colors(values, low, high, palette=chosen)
         opaque = np.column_stack([rgb, np.ones(len(rgb))])
         rgba: npt.NDArray[np.uint8] = np.rint(255 * opaque).astype(np.uint8)
         return rgba

@@ -6,21 +6,19 @@ beyond it may be a farther point, and without any point in the 27 cells there is
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.mpm.kernel import Geometry
-
-if TYPE_CHECKING:
-    from morph_engine.losses.chamfer import Matches
+from morph_engine.losses.matches import Matches
+from morph_engine.mpm.grid import Grid
 
 Points = NDArray[np.float64]
 
 
 def restrict_to_cells(
-    matches: Matches, x: Any, forward: Points, reverse: Points, geometry: Geometry
+    matches: Matches, x: Any, forward: Points, reverse: Points, grid: Grid
 ) -> tuple[Points, Points]:
     """Replace exact matches beyond one cell width by those of the 27-cell search.
 
@@ -29,12 +27,12 @@ def restrict_to_cells(
         x: Particle positions [dx], device array, shape [n, 3].
         forward: Exact distances particle -> target [dx], shape [n].
         reverse: Exact distances target -> particle [dx], shape [m].
-        geometry: Background grid.
+        grid: Background grid.
 
     Returns:
         The distances [dx]; infinite where there is no match.
     """
-    if max(forward.max(), reverse.max()) <= geometry.dx:
+    if max(forward.max(), reverse.max()) <= grid.dx:
         return forward, reverse
     particles = x.to_numpy().astype(np.float64)
     target = matches.target.to_numpy().astype(np.float64)
@@ -42,26 +40,24 @@ def restrict_to_cells(
         (particles, target, matches.forward, forward),
         (target, particles, matches.reverse, reverse),
     ):
-        far = np.flatnonzero(distance > geometry.dx)
+        far = np.flatnonzero(distance > grid.dx)
         if len(far):
             found = index.to_numpy()
-            found[far], distance[far] = search_cells(queries[far], points, geometry)
+            found[far], distance[far] = search_cells(queries[far], points, grid)
             index.from_numpy(found)
     return forward, reverse
 
 
-def search_cells(
-    queries: Points, points: Points, geometry: Geometry
-) -> tuple[NDArray[np.int32], Points]:
+def search_cells(queries: Points, points: Points, grid: Grid) -> tuple[NDArray[np.int32], Points]:
     """Nearest point within the 27 cells around each query.
 
     Returns:
         Index (-1 for none) and distance [dx] (infinite for none), shape [q].
     """
-    side = geometry.nodes + 2
+    side = grid.resolution + 2
 
     def cells(p: Points) -> NDArray[np.int64]:
-        return np.clip(np.floor((p - geometry.origin) / geometry.dx), 0, side - 3).astype(int) + 1
+        return np.clip(np.floor((p - grid.origin) / grid.dx), 0, side - 3).astype(int) + 1
 
     def key(cell: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.asarray((cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2])

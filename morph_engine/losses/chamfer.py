@@ -8,47 +8,12 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.config import ChamferConfig
-from morph_engine.geometry.neighbors import NeighborIndex
 from morph_engine.losses.cell_search import restrict_to_cells
-from morph_engine.losses.gaussian import GaussianAverage
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.losses.gaussian_smoothing import GaussianSmoothing
+from morph_engine.losses.matches import Matches
+from morph_engine.mpm.grid import Grid
 
 SMALLEST_GRADIENT = 1e-10  # a particle with a larger reverse gradient counts as active
-
-
-class Matches:
-    """Nearest neighbours of both directions, kept on the device.
-
-    Args:
-        target: Target points [dx], device array, shape [m, 3].
-        x: Particle positions [dx], device array, shape [n, 3].
-    """
-
-    def __init__(self, target: Any, x: Any) -> None:
-        device = backend.active()
-        n, m = x.shape[0], target.shape[0]
-        self.target = target
-        self._target_index = NeighborIndex(target)
-        self._particle_index = NeighborIndex(x)
-        self.forward, self.forward_distance = device.integers(n), device.scalars(n)
-        self.reverse, self.reverse_distance = device.integers(m), device.scalars(m)
-
-    def update(self, x: Any) -> None:
-        """Match particles at x and target points anew; the last matches speed up the search."""
-        self._target_index.nearest(x, self.forward, self.forward_distance, self.forward)
-        self._particle_index.update(x)
-        self._particle_index.nearest(self.target, self.reverse, self.reverse_distance, self.reverse)
-
-    def rebuild(self, x: Any) -> None:
-        """Sort the particles anew, after they moved far."""
-        self._particle_index.rebuild(x)
-
-    def distances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances particle -> target, shape [n], and target -> particle, shape [m] [dx]."""
-        return (
-            self.forward_distance.to_numpy().astype(np.float64),
-            self.reverse_distance.to_numpy().astype(np.float64),
-        )
 
 
 class ChamferLoss:
@@ -57,16 +22,16 @@ class ChamferLoss:
     Args:
         matches: Nearest neighbours, shared with the metrics.
         config: Distances, clamping and smoothing.
-        geometry: Background grid.
+        grid: Background grid.
     """
 
-    def __init__(self, matches: Matches, config: ChamferConfig, geometry: Geometry) -> None:
+    def __init__(self, matches: Matches, config: ChamferConfig, grid: Grid) -> None:
         self.matches = matches
         self._config = config
-        self._geometry = geometry
+        self._grid = grid
         self._reverse = backend.active().vectors(matches.forward.shape[0])
         self._average = (
-            GaussianAverage(geometry, config.reverse_smoothing)
+            GaussianSmoothing(grid, config.reverse_smoothing)
             if config.reverse_smoothing > 0
             else None
         )
@@ -76,7 +41,7 @@ class ChamferLoss:
         self.matches.update(x)
         forward, reverse = self.matches.distances()
         if self._config.neighborhood == "published":
-            forward, reverse = restrict_to_cells(self.matches, x, forward, reverse, self._geometry)
+            forward, reverse = restrict_to_cells(self.matches, x, forward, reverse, self._grid)
         return self._mean_loss(forward) + reverse_weight * self._mean_loss(reverse)
 
     def add_gradient(self, x: Any, x_bar: Any, weight: float, reverse_weight: float) -> None:

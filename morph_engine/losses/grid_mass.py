@@ -8,9 +8,15 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_STRIDE
-from morph_engine.mpm import kernel
-from morph_engine.mpm.kernel import Geometry
-from morph_engine.mpm.transfer import chunk_bounds, claim_rows, claimants, gather_chunks
+from morph_engine.mpm import b_spline, stencil
+from morph_engine.mpm.grid import Grid, base_and_offset, flat_index, is_inside, row_index
+from morph_engine.mpm.private_grids import (
+    PrivateGrids,
+    chunk_bounds,
+    clear_touched_rows,
+    sum_chunks,
+    touching_chunks,
+)
 
 SHIFT = 1.0 + 1e-4  # 1 + eps inside the logarithms
 SMALLEST_MASS = 1e-12
@@ -22,24 +28,20 @@ class GridMass:
     Args:
         point_count: Number of points.
         point_mass: Mass of each.
-        geometry: Background grid.
+        grid: Background grid.
     """
 
-    def __init__(self, point_count: int, point_mass: float, geometry: Geometry) -> None:
-        device = backend.active()
-        self.point_count, self.point_mass, self.geometry = point_count, point_mass, geometry
-        self._atomic = not device.on_cpu
-        self._chunk_count, self._chunk_size = device.chunks(point_count)
-        grids = self._chunk_count if device.on_cpu else 1
-        self._partial = device.scalars(grids * geometry.node_count)
-        self._claims = device.integer_vectors(grids, 4)
-        self.nodes = device.scalars(geometry.node_count)
+    def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
+        self.point_count, self.point_mass, self.grid = point_count, point_mass, grid
+        self._private = PrivateGrids(point_count, grid, values=1)
+        self.nodes = backend.active().scalars(grid.node_count)
 
     def gather(self, x: Any) -> Any:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
+        private = self._private
         _mass_to_grid(
-            x, self._partial, self._claims, self.nodes, self.point_count,
-            self.point_mass, self._chunk_count, self._chunk_size, self.geometry, self._atomic,
+            x, private.partial, private.touched, self.nodes, self.point_count, self.point_mass,
+            private.chunk_count, private.chunk_size, self.grid, private.atomic,
         )  # fmt: skip
         return self.nodes
 
@@ -53,12 +55,12 @@ class GridMass:
             weight: Factor on it.
         """
         factor = weight * self.point_mass
-        _mass_to_grid_adjoint(x, slope, x_bar, self.point_count, factor, self.geometry)
+        _mass_to_grid_adjoint(x, slope, x_bar, self.point_count, factor, self.grid)
 
     def rest_volumes(self, x: Any) -> NDArray[Any]:
         """Rest volumes of particles at x from the density they see [dx^3] (algorithm 1.3)."""
         volumes = backend.active().scalars(self.point_count)
-        _volumes(x, self.gather(x), volumes, self.point_count, self.point_mass, self.geometry)
+        _volumes(x, self.gather(x), volumes, self.point_count, self.point_mass, self.grid)
         return np.asarray(volumes.to_numpy())
 
 
@@ -69,7 +71,7 @@ class GridMassLoss:
         target: Target points [dx], device array, shape [m, 3].
         particle_count: Number of particles.
         point_mass: Mass of each particle and of each target point.
-        geometry: Background grid.
+        grid: Background grid.
         outside_factor: Factor on the gradient of nodes without target mass.
     """
 
@@ -79,21 +81,21 @@ class GridMassLoss:
         *,
         particle_count: int,
         point_mass: float,
-        geometry: Geometry,
+        grid: Grid,
         outside_factor: float,
     ) -> None:
-        self._goal = GridMass(target.shape[0], point_mass, geometry).gather(target)
-        self._mass = GridMass(particle_count, point_mass, geometry)
-        self._slope = backend.active().scalars(geometry.node_count)
-        self._plane_sums = backend.active().scalars(geometry.nodes)
+        self._goal = GridMass(target.shape[0], point_mass, grid).gather(target)
+        self._mass = GridMass(particle_count, point_mass, grid)
+        self._slope = backend.active().scalars(grid.node_count)
+        self._plane_sums = backend.active().scalars(grid.resolution)
         self._outside_factor = outside_factor
-        self._geometry = geometry
+        self._grid = grid
 
     def evaluate(self, x: Any) -> float:
         """The loss of particles at x [dx], shape [n, 3]."""
         _log_mass_loss(
             self._mass.gather(x), self._goal, self._slope, self._plane_sums,
-            self._outside_factor, self._geometry,
+            self._outside_factor, self._grid,
         )  # fmt: skip
         return float(self._plane_sums.to_numpy().sum(dtype=np.float64))
 
@@ -106,19 +108,19 @@ class GridMassLoss:
 def _mass_to_grid(
     x: ti.types.ndarray(),
     partial: ti.types.ndarray(),
-    claims: ti.types.ndarray(),
+    touched: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     count: int,
     point_mass: float,
     chunk_count: int,
     chunk_size: int,
-    geometry: ti.template(),
+    grid: ti.template(),
     atomic: ti.template(),
 ):
     """M_i = sum_p w_ip m, on nodes inside the domain."""
-    width = ti.static(geometry.width)
+    width = ti.static(grid.width)
     if ti.static(atomic):
-        for i in range(geometry.node_count):
+        for i in range(grid.node_count):
             partial[i] = 0.0
     stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
     for task in range(chunk_count * stride):
@@ -127,16 +129,16 @@ def _mass_to_grid(
             first, last = chunk_bounds(chunk, chunk_size, count)
             offset = 0
             if ti.static(not atomic):
-                offset = claim_rows(chunk, first, last, x, claims, partial, geometry)
+                offset = clear_touched_rows(chunk, first, last, x, touched, partial, grid)
             for p in range(first, last):
-                base, u = kernel.base_and_offset(x[p], geometry)
-                wx = kernel.weights(u.x, width)
-                wy = kernel.weights(u.y, width)
-                wz = kernel.weights(u.z, width) * point_mass
-                corner = offset + kernel.flat_index(base, geometry)
+                base, u = base_and_offset(x[p], grid)
+                wx = b_spline.weights(u.x, width)
+                wy = b_spline.weights(u.y, width)
+                wz = b_spline.weights(u.z, width) * point_mass
+                corner = offset + flat_index(base, grid)
                 for i in range(width):
                     for j in range(width):
-                        first = kernel.row(corner, i, j, geometry)
+                        first = row_index(corner, i, j, grid)
                         share = (wx[i] * wy[j]) * wz
                         if ti.static(atomic):
                             for k in ti.static(range(width)):
@@ -145,12 +147,12 @@ def _mass_to_grid(
                             total = ti.Vector([partial[first + k] for k in range(width)]) + share
                             for k in ti.static(range(width)):
                                 partial[first + k] = total[k]
-    for row in range(geometry.nodes**2):
-        chunks = claimants(row, claims, chunk_count, geometry, atomic)
-        for i in range(row * geometry.nodes, (row + 1) * geometry.nodes):
+    for row in range(grid.resolution**2):
+        chunks = touching_chunks(row, touched, chunk_count, grid, atomic)
+        for i in range(row * grid.resolution, (row + 1) * grid.resolution):
             mass[i] = 0.0
-            if chunks != 0 and kernel.is_inside(i, geometry):
-                mass[i] = gather_chunks(i, chunks, partial, chunk_count, geometry, atomic)
+            if chunks != 0 and is_inside(i, grid):
+                mass[i] = sum_chunks(i, chunks, partial, chunk_count, grid, atomic)
 
 
 @ti.kernel
@@ -160,29 +162,29 @@ def _mass_to_grid_adjoint(
     x_bar: ti.types.ndarray(),
     count: int,
     factor: float,
-    geometry: ti.template(),
+    grid: ti.template(),
 ):
     """x_bar_p = factor sum_i dL/dM_i grad w_ip."""
-    dx, width = ti.static(geometry.dx, geometry.width)
+    dx, width = ti.static(grid.dx, grid.width)
     for p in range(count):
-        base, u = kernel.base_and_offset(x[p], geometry)
-        wx, gx = kernel.weights(u.x, width), kernel.slopes(u.x, width)
-        wy, gy = kernel.weights(u.y, width), kernel.slopes(u.y, width)
-        wz, gz = kernel.weights(u.z, width), kernel.slopes(u.z, width)
-        corner = kernel.flat_index(base, geometry)
+        base, u = base_and_offset(x[p], grid)
+        wx, gx = b_spline.weights(u.x, width), b_spline.weight_derivatives(u.x, width)
+        wy, gy = b_spline.weights(u.y, width), b_spline.weight_derivatives(u.y, width)
+        wz, gz = b_spline.weights(u.z, width), b_spline.weight_derivatives(u.z, width)
+        corner = flat_index(base, grid)
         # Sums over x and y, for each z separately.
-        memory = kernel.in_memory(u)
-        flat, by_x, by_y = [kernel.zero_sums(width) for _ in range(3)]
+        memory = stencil.in_memory(u)
+        flat, by_x, by_y = [stencil.zero_sums(width) for _ in range(3)]
         for i in range(width):
             plane, plane_y = ti.Vector.zero(float, width), ti.Vector.zero(float, width)
             for j in ti.static(range(width)):
-                first = kernel.row(corner, i, j, geometry)
+                first = row_index(corner, i, j, grid)
                 values = ti.Vector([slope[first + k] for k in range(width)])
                 plane += wy[j] * values
                 plane_y += gy[j] * values
-            kernel.accumulate(flat, memory, wx[i], plane)
-            kernel.accumulate(by_x, memory, gx[i], plane)
-            kernel.accumulate(by_y, memory, wx[i], plane_y)
+            stencil.accumulate(flat, memory, wx[i], plane)
+            stencil.accumulate(by_x, memory, gx[i], plane)
+            stencil.accumulate(by_y, memory, wx[i], plane_y)
         gradient = ti.Vector.zero(float, 3)
         for k in ti.static(range(width)):
             gradient.x += wz[k] * by_x[memory, k]
@@ -198,11 +200,11 @@ def _log_mass_loss(
     slope: ti.types.ndarray(),
     plane_sums: ti.types.ndarray(),
     outside_factor: float,
-    geometry: ti.template(),
+    grid: ti.template(),
 ):
     """Loss summed per x plane, and the factor of each node in the gradient."""
-    plane_size = ti.static(geometry.nodes**2)
-    for task in range(geometry.nodes * CPU_CHUNK_STRIDE):
+    plane_size = ti.static(grid.resolution**2)
+    for task in range(grid.resolution * CPU_CHUNK_STRIDE):
         if task % CPU_CHUNK_STRIDE == 0:
             plane = task // CPU_CHUNK_STRIDE
             total = 0.0
@@ -222,20 +224,20 @@ def _volumes(
     volumes: ti.types.ndarray(),
     count: int,
     point_mass: float,
-    geometry: ti.template(),
+    grid: ti.template(),
 ):
     """V_p = m dx^3 / sum_i w_ip M_i."""
-    dx, width = ti.static(geometry.dx, geometry.width)
+    dx, width = ti.static(grid.dx, grid.width)
     for p in range(count):
-        base, u = kernel.base_and_offset(x[p], geometry)
-        wx = kernel.weights(u.x, width)
-        wy = kernel.weights(u.y, width)
-        wz = kernel.weights(u.z, width)
-        corner = kernel.flat_index(base, geometry)
+        base, u = base_and_offset(x[p], grid)
+        wx = b_spline.weights(u.x, width)
+        wy = b_spline.weights(u.y, width)
+        wz = b_spline.weights(u.z, width)
+        corner = flat_index(base, grid)
         density = 0.0
         for i in range(width):
             for j in range(width):
-                first = kernel.row(corner, i, j, geometry)
+                first = row_index(corner, i, j, grid)
                 for k in ti.static(range(width)):
                     density += wx[i] * wy[j] * wz[k] * mass[first + k]
         volumes[p] = point_mass * dx**3 / ti.max(density, SMALLEST_MASS)

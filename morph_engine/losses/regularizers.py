@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.config import RegulariserConfig
-from morph_engine.losses.nearest_others import nearest_others
+from morph_engine.losses.k_nearest_neighbors import k_nearest_neighbors
 
 SMALLEST_SQUARE = 1e-8  # repulsion stops growing below this squared distance [dx^2]
 
 
-class Regularisers:
+class Regularizers:
     """The weighted sum of three terms.
 
     ::
@@ -49,7 +49,7 @@ class Regularisers:
         """List the neighbours of every particle anew, at x [dx], shape [n, 3]."""
         if not self._needs_lists:
             return
-        lists, distance = nearest_others(x.to_numpy(), self._width)
+        lists, distance = k_nearest_neighbors(x.to_numpy(), self._width)
         self._theta = 0.5 * float(distance[:, : self._near].mean())
         flat = lists.reshape(-1)
         ends = np.cumsum(np.bincount(flat, minlength=self._count))

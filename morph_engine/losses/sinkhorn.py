@@ -12,7 +12,7 @@ import taichi as ti
 
 from morph_engine import backend
 from morph_engine.losses.grid_mass import GridMass
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
 
 START_ROUNDS = 100
 NOTHING = -1e30
@@ -33,20 +33,18 @@ class SinkhornDivergence:
     Args:
         target: Target points [dx], device array, shape [m, 3].
         x: Particle positions [dx], device array, shape [n, 3].
-        geometry: Background grid.
+        grid: Background grid.
         blur: Length below which masses are not told apart [dx].
         rounds: Rounds in which potentials are improved before each gradient.
     """
 
-    def __init__(
-        self, target: Any, x: Any, *, geometry: Geometry, blur: float, rounds: int
-    ) -> None:
+    def __init__(self, target: Any, x: Any, *, grid: Grid, blur: float, rounds: int) -> None:
         device = backend.active()
-        self._x, self._geometry = x, geometry
+        self._x, self._grid = x, grid
         self._temperature, self._rounds = blur**2, rounds
-        self._particles = GridMass(x.shape[0], 1 / x.shape[0], geometry)
-        self._b = GridMass(target.shape[0], 1 / target.shape[0], geometry).gather(target)
-        count = geometry.node_count
+        self._particles = GridMass(x.shape[0], 1 / x.shape[0], grid)
+        self._b = GridMass(target.shape[0], 1 / target.shape[0], grid).gather(target)
+        count = grid.node_count
         self._f, self._g, self._p, self._q = (device.scalars(count) for _ in range(4))
         self._new, self._other, self._line, self._slope = (device.scalars(count) for _ in range(4))
         for _ in range(START_ROUNDS):
@@ -94,7 +92,7 @@ class SinkhornDivergence:
 
     def _softmin(self, potential: Any, mass: Any, result: Any) -> None:
         """-T log sum_j mass_j exp((potential_j - |x_i - x_j|^2 / 2) / T) for every node i."""
-        n, dx = self._geometry.nodes, self._geometry.dx
+        n, dx = self._grid.resolution, self._grid.dx
         _weigh(potential, mass, result, self._temperature)
         curvature = 0.5 * dx * dx / self._temperature
         _log_sum(result, self._line, n, 1, curvature)

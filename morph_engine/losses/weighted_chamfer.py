@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.losses.chamfer import Matches
-from morph_engine.losses.matched_pairs import PairLoss
-from morph_engine.losses.nearest_others import nearest_others
+from morph_engine.losses.k_nearest_neighbors import k_nearest_neighbors
+from morph_engine.losses.matches import Matches
+from morph_engine.losses.pair_loss import PairLoss
 
 SMALLEST_DISTANCE = 1e-8  # added to the mean distance to neighbours, which may be 0 [dx]
 
@@ -52,7 +52,7 @@ def density_weights(
     Returns:
         Positive weights that sum to n, shape [n].
     """
-    _, distance = nearest_others(points, neighbors)
+    _, distance = k_nearest_neighbors(points, neighbors)
     mean = distance.mean(axis=1) + SMALLEST_DISTANCE
     weight = 1 / mean if weighting == "published" else mean
     return np.asarray(weight * (len(points) / weight.sum()))

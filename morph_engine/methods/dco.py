@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from morph_engine.losses.regularizers import Regularisers
+from morph_engine.losses.regularizers import Regularizers
 from morph_engine.losses.weighted_chamfer import WeightedChamfer
 from morph_engine.methods.point_optimization import PointOptimisation
 from morph_engine.methods.protocol import Problem
@@ -17,7 +17,7 @@ class Dco(PointOptimisation):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self._regularisers = Regularisers(problem.source, problem.config.regularisers)
+        self._regularisers = Regularizers(problem.source, problem.config.regularisers)
 
     def _make_loss(self) -> WeightedChamfer:
         return WeightedChamfer(self._matches)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from morph_engine.losses.density_aware import DensityAwareChamfer
+from morph_engine.losses.density_aware_chamfer import DensityAwareChamfer
 from morph_engine.methods.point_optimization import PointOptimisation
 
 

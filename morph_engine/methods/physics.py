@@ -8,17 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.losses.chamfer import ChamferLoss, Matches
+from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
+from morph_engine.losses.matches import Matches
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
-from morph_engine.mpm.simulation_setup import (
-    cell_order,
-    grid_geometry,
-    make_simulation,
-    particle_mass,
-)
+from morph_engine.mpm.grid import cell_order
+from morph_engine.mpm.simulation_setup import make_grid, make_simulation, particle_mass
 from morph_engine.mpm.state import Particles
-from morph_engine.optimization.frame_control import FrameControl, FrameReport
+from morph_engine.optimization.frame_optimizer import FrameOptimizer, FrameReport
 from morph_engine.optimization.schedule import frame_weights
 
 
@@ -34,13 +31,13 @@ class Physics(Method):
         device = backend.active()
         n = len(problem.source)
         mass = particle_mass(config)
-        geometry = grid_geometry(config)
-        self._geometry = geometry
+        grid = make_grid(config)
+        self._grid = grid
         self._mass = mass
         self._particles = Particles.at_rest(problem.source.astype(device.numpy_real))
         source, target = device.upload(problem.source), device.upload(problem.target)
         self._rest_volume = (
-            GridMass(n, mass, geometry).rest_volumes(source)
+            GridMass(n, mass, grid).rest_volumes(source)
             if config.sampling.rest_volume == "density"
             else np.full(n, config.spacing**3, device.numpy_real)
         )
@@ -48,23 +45,23 @@ class Physics(Method):
             config, self._rest_volume, transitions=config.time.transitions_per_frame
         )
         self._matches = Matches(target, source)
-        self._control = FrameControl(
+        self._control = FrameOptimizer(
             self._simulation,
             GridMassLoss(
                 target,
                 particle_count=n,
                 point_mass=mass,
-                geometry=geometry,
+                grid=grid,
                 outside_factor=config.grid_loss.outside_factor,
             ),
-            ChamferLoss(self._matches, config.chamfer, geometry) if self.with_chamfer else None,
+            ChamferLoss(self._matches, config.chamfer, grid) if self.with_chamfer else None,
             config,
         )
 
     def advance(self, frame: int) -> FrameOutcome:
         """Optimise the control of one frame and carry its last layer on (algorithm 6.4)."""
         simulation = self._simulation
-        order = cell_order(self._particles.x, self._geometry)
+        order = cell_order(self._particles.x, self._grid)
         simulation.volume.from_numpy(self._rest_volume[order])
         simulation.layers[0].upload(self._particles.permuted(order))
         self._matches.rebuild(simulation.layers[0].x)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.errors import SimulationError
-from morph_engine.geometry.neighbors import REACH
-from morph_engine.losses.chamfer import Matches
+from morph_engine.geometry.neighbor_index import REACH
+from morph_engine.losses.matches import Matches
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 from morph_engine.optimization.amsgrad import AMSGrad
 

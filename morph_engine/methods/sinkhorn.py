@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from morph_engine import backend
 from morph_engine.losses.sinkhorn import SinkhornDivergence
 from morph_engine.methods.point_optimization import PointOptimisation
-from morph_engine.mpm.simulation_setup import grid_geometry
+from morph_engine.mpm.simulation_setup import make_grid
 
 
 class Sinkhorn(PointOptimisation):
@@ -33,7 +33,7 @@ class Sinkhorn(PointOptimisation):
         return SinkhornDivergence(
             backend.active().upload(self.problem.target),
             self._x,
-            geometry=grid_geometry(config),
+            grid=make_grid(config),
             blur=config.entropy.blur,
             rounds=config.entropy.rounds,
         )

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.errors import SimulationError
-from morph_engine.losses.chamfer import Matches
+from morph_engine.losses.matches import Matches
 from morph_engine.methods.protocol import FrameOutcome, Method, Problem
 from morph_engine.mpm import steering
-from morph_engine.mpm.simulation_setup import cell_order, make_simulation
+from morph_engine.mpm.faults import fault_names
+from morph_engine.mpm.grid import cell_order
+from morph_engine.mpm.simulation_setup import make_simulation
 from morph_engine.mpm.state import Particles
 from morph_engine.optimal_transport import even_destinations, random_destinations, transport_plan
-from morph_engine.optimization.frame_control import fault_names
 
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""
@@ -59,7 +60,7 @@ class Transport(Method):
         if self._destination is None:
             self._destination = self._plan()
         goal = self._destination
-        order = cell_order(self._particles.x, simulation.geometry)
+        order = cell_order(self._particles.x, simulation.grid)
         original = np.argsort(order)
         begin = device.upload(self.problem.source[order])
         destination = device.upload(goal[order])
@@ -142,7 +143,7 @@ class Transport(Method):
     ) -> dict[str, float]:
         p, begin = self._particles, self.problem.source
         place = begin + share * (goal - begin)
-        mass = self._simulation.physics.particle_mass
+        mass = self._simulation.material.particle_mass
         speed_squared = np.sum(p.v.astype(np.float64) ** 2, axis=1)
         return {
             "loss_transport": float(np.mean(np.sum((place - p.x) ** 2, axis=1, dtype=np.float64))),

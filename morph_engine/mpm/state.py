@@ -1,15 +1,13 @@
 """Particle state of one frame, layer by layer (algorithm 2.7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.mpm import transfer
 
 Array = NDArray[Any]
 
@@ -31,7 +29,7 @@ class Particles:
     F: Array
 
     @classmethod
-    def at_rest(cls, positions: Array) -> Particles:
+    def at_rest(cls, positions: Array) -> "Particles":
         """Undeformed particles without velocity (algorithm 1.3)."""
         n = len(positions)
         return cls(
@@ -41,7 +39,7 @@ class Particles:
             F=np.tile(np.eye(3, dtype=positions.dtype), (n, 1, 1)),
         )
 
-    def permuted(self, order: NDArray[np.intp]) -> Particles:
+    def permuted(self, order: NDArray[np.intp]) -> "Particles":
         """The same particles in another order."""
         return Particles(self.x[order], self.v[order], self.C[order], self.F[order])
 
@@ -62,21 +60,30 @@ class Layer:
         for name in ("x", "v", "C", "F"):
             getattr(self, name).from_numpy(np.ascontiguousarray(getattr(particles, name), real))
 
-    def download(self) -> Particles:
+    def download(self) -> "Particles":
         """Copy the state to the host."""
         return Particles(self.x.to_numpy(), self.v.to_numpy(), self.C.to_numpy(), self.F.to_numpy())
 
     def clear(self) -> None:
         """Set everything to zero."""
-        transfer.clear(self.x, self.v, self.C, self.F)
+        _clear(self.x, self.v, self.C, self.F)
 
 
 class Transition:
-    """Device arrays of one time step: control U, its gradient, rotations R, grid (v, M)."""
+    """Device arrays of one time step: control U, its gradient, rotations R, nodes (v, M)."""
 
     def __init__(self, particle_count: int, node_count: int, *, rotations: bool) -> None:
         device = backend.active()
         self.U = device.matrices(particle_count)
         self.U_bar = device.matrices(particle_count)
         self.R = device.matrices(particle_count if rotations else 1)
-        self.grid = device.vectors(node_count, 4)
+        self.nodes = device.vectors(node_count, 4)
+
+
+@ti.kernel
+def _clear(
+    x: ti.types.ndarray(), v: ti.types.ndarray(), C: ti.types.ndarray(), F: ti.types.ndarray()
+):
+    for p in range(x.shape[0]):
+        x[p], v[p] = ti.zero(x[p]), ti.zero(v[p])
+        C[p], F[p] = ti.zero(C[p]), ti.zero(F[p])

@@ -28,7 +28,7 @@ class Norm:
         return float(np.sqrt(self._sums.to_numpy().sum(dtype=np.float64)))
 
 
-class LayerControl:
+class LayerOptimizer:
     """Control of one layer and its moments, committed and on trial.
 
     Args:

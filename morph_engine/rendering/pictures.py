@@ -14,9 +14,9 @@ from PIL import Image
 
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
-from morph_engine.rendering import palette as palettes
-from morph_engine.rendering.raster import Canvas
-from morph_engine.rendering.video_file import VideoKind, write_video
+from morph_engine.rendering import colormap
+from morph_engine.rendering.rasterizer import Canvas
+from morph_engine.rendering.video_encoder import VideoKind, write_video
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.selection import Selection
@@ -137,7 +137,7 @@ def height_colors(source: npt.ArrayLike, view: Floats, *, palette: str = "turbo"
     """
     height = np.asarray(source, np.float64) @ view[1]
     share = (height - height.min()) / max(float(np.ptp(height)), 1e-12)
-    return palettes.colors(0.1 + 0.8 * share, 0.0, 1.0, palette=palette)
+    return colormap.colors(0.1 + 0.8 * share, 0.0, 1.0, palette=palette)
 
 
 def picture(
@@ -173,9 +173,9 @@ def picture(
     """
     points = np.asarray(positions, np.float64)
     if colors is None and values is not None:
-        low, high = limits or palettes.limits(values, diverging=diverging)
-        name = palettes.DIVERGING if diverging else palettes.SEQUENTIAL
-        colors = palettes.colors(values, low, high, palette=name)
+        low, high = limits or colormap.limits(values, diverging=diverging)
+        name = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
+        colors = colormap.colors(values, low, high, palette=name)
     camera = view or Camera.facing(points, look(), size)
     image = _painted(points, spacing, colors, faces, camera, size)
     rgb, cover = image[..., :3], image[..., 3:]
@@ -363,7 +363,7 @@ def _limits(selection: Selection, name: str) -> tuple[float, float]:
     frames = selection.frames
     some = {frames[0], frames[len(frames) // 2], frames[-1]}
     values = np.concatenate([selection.field(name, frame) for frame in some])
-    return palettes.limits(values, diverging=FIELDS[name].diverging)
+    return colormap.limits(values, diverging=FIELDS[name].diverging)
 
 
 def _painted(

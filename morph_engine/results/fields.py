@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine.errors import ResultError, unknown_name
-from morph_engine.metrics.point_metrics import (
+from morph_engine.geometry.point_cloud import (
     Points,
     distance_to_other,
     finite_points,

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine.config import MorphConfig
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.results.fields import field
 from morph_engine.results.trajectory import Trajectory
-from morph_engine.surface import surface
 
 Units = Literal["user", "grid"]
 Positions = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ class Selection:
         fields = {name: self.field(name, frame) for name in self.fields}
         if not self.surface:
             return Snapshot(frame, self.placed(positions), None, fields)
-        found = surface(positions, self._spacing)
+        found = reconstruct_surface(positions, self._spacing)
         if fields:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)

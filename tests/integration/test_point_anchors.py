@@ -9,7 +9,7 @@ import pytest
 
 from morph_engine.methods import Problem
 from morph_engine.methods.dco import Dco
-from morph_engine.metrics.point_metrics import chamfer_metrics
+from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.morphing import prepare
 from morph_engine.presets import configure
 

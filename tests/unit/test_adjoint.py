@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
+from morph_engine.mpm.simulation import PUBLISHED, AdjointFlags, Material, Simulation
 from morph_engine.mpm.state import Particles
-from morph_engine.mpm.step import PUBLISHED, AdjointFlags, Physics, Simulation
 
 Array = NDArray[np.float64]
 PARTICLE_COUNT = 60
@@ -42,8 +42,9 @@ def random_simulation(
     )
     simulation = Simulation(
         rng.uniform(0.03, 0.06, n),
-        geometry=Geometry(half_extent=4.0, width=width),
-        physics=Physics(model, 38888.89, 58333.3, 2.7, 0.5, 1 / 120),
+        grid=Grid(half_extent=4.0, width=width),
+        material=Material(model, 38888.89, 58333.3, 2.7, 0.5),
+        dt=1 / 120,
         transitions=TRANSITIONS,
         domain=3.5,
         adjoint=adjoint or AdjointFlags(),

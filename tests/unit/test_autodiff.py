@@ -7,9 +7,9 @@ import taichi as ti
 
 from morph_engine import backend
 from morph_engine.mpm.constitutive import NEO_HOOKEAN
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
+from morph_engine.mpm.simulation import Material, Simulation
 from morph_engine.mpm.state import Particles
-from morph_engine.mpm.step import Physics, Simulation
 
 COUNT, STEPS, NODES, HALF = 40, 2, 9, 4.0
 LAMBDA, MU, MASS, DRAG, DT, SMOOTHING = 38888.89, 58333.3, 2.7, 0.5, 1 / 120, 0.9
@@ -100,8 +100,9 @@ def test_control_gradients_equal_autodiff() -> None:
 
     ours = Simulation(
         volume,
-        geometry=Geometry(half_extent=HALF),
-        physics=Physics(NEO_HOOKEAN, LAMBDA, MU, MASS, DRAG, DT),
+        grid=Grid(half_extent=HALF),
+        material=Material(NEO_HOOKEAN, LAMBDA, MU, MASS, DRAG),
+        dt=DT,
         transitions=STEPS,
         domain=3.5,
     )

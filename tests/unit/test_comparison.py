@@ -15,8 +15,8 @@ from morph_engine.comparison import compare, measure, sample_surface
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.mesh import Mesh, make_mesh
 from morph_engine.geometry.sampling import sample_lattice
-from morph_engine.metrics.fill import outside_metrics
-from morph_engine.metrics.point_metrics import METRICS
+from morph_engine.metrics.definitions import METRICS
+from morph_engine.metrics.volume import outside_metrics
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory, write_result

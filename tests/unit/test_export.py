@@ -12,9 +12,9 @@ from pxr import Usd, UsdGeom
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.export import FORMATS, export, suffix
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.trajectory import Trajectory
-from morph_engine.surface import surface
 
 TOLERANCE = 1e-5  # in the user's units, where the egg is 4 long and 37 from the origin
 
@@ -42,7 +42,7 @@ def test_surface_comes_back(trajectory, tmp_path, format):
         trajectory, tmp_path / f"s.{format}", format, frames=[1], surface=True, units="grid"
     )
     found = trimesh.load_mesh(path)
-    expected = surface(trajectory.positions(1), 0.5)
+    expected = reconstruct_surface(trajectory.positions(1), 0.5)
     assert found.is_watertight
     assert len(found.faces) == len(expected.faces)
     np.testing.assert_allclose(

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from morph_engine import backend
 from morph_engine.config import ChamferConfig
 from morph_engine.losses.cell_search import search_cells
-from morph_engine.losses.chamfer import ChamferLoss, Matches
-from morph_engine.losses.gaussian import GaussianAverage
+from morph_engine.losses.chamfer import ChamferLoss
+from morph_engine.losses.gaussian_smoothing import GaussianSmoothing
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.losses.matches import Matches
+from morph_engine.mpm.grid import Grid
 
 pytestmark = pytest.mark.usefixtures("float64_device")
-GRID = Geometry(half_extent=4.0)
+GRID = Grid(half_extent=4.0)
 PLAIN = ChamferConfig(huber_delta=0, reverse_clamp=0, reverse_smoothing=0)
 Points = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def test_grid_loss_is_that_of_the_formula() -> None:
     x, target = clouds()
     device = backend.active()
     loss = GridMassLoss(
-        device.upload(target), particle_count=300, point_mass=2.0, geometry=GRID, outside_factor=1.0
+        device.upload(target), particle_count=300, point_mass=2.0, grid=GRID, outside_factor=1.0
     )
     masses = [
         GridMass(len(points), 2.0, GRID).gather(device.upload(points)).to_numpy()
@@ -46,7 +47,7 @@ def test_grid_loss_gradient_matches_differences() -> None:
     x, target = clouds()
     device = backend.active()
     loss = GridMassLoss(
-        device.upload(target), particle_count=300, point_mass=2.0, geometry=GRID, outside_factor=1.0
+        device.upload(target), particle_count=300, point_mass=2.0, grid=GRID, outside_factor=1.0
     )
     gradient = device.vectors(300)
     at = device.upload(x)
@@ -122,7 +123,7 @@ def test_gaussian_average_matches_the_sum_over_neighbours(sigma: float, toleranc
     values = rng.normal(size=(2000, 3)) * (rng.random((2000, 1)) < 0.2)
     device = backend.active()
     averages = device.upload(values)
-    GaussianAverage(GRID, sigma).apply(device.upload(x), averages)
+    GaussianSmoothing(GRID, sigma).apply(device.upload(x), averages)
     cells = np.floor(x)
     adjacent = (np.abs(cells[:, None] - cells).max(axis=2) <= 1).astype(float)
     squared = ((x[:, None] - x) ** 2).sum(axis=2)

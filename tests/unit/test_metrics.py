@@ -14,8 +14,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import MeshError
-from morph_engine.metrics.fill import fill_metrics
-from morph_engine.metrics.point_metrics import METRICS, chamfer_metrics, deformation_metrics
+from morph_engine.metrics.chamfer import chamfer_metrics
+from morph_engine.metrics.definitions import METRICS
+from morph_engine.metrics.deformation import deformation_metrics
+from morph_engine.metrics.volume import fill_metrics
 
 Cloud = npt.NDArray[np.float64]
 ORIGIN = np.zeros((1, 3))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from morph_engine import backend
-from morph_engine.geometry.neighbors import LEAF_SIZE, NO_MATCH, NeighborIndex, leaf_order
+from morph_engine.geometry.neighbor_index import LEAF_SIZE, NO_MATCH, NeighborIndex, leaf_order
 
 Array = NDArray[np.floating[Any]]
 ROUNDING = {"float32": 4e-7, "float64": 1e-15}  # a few units in the last place

@@ -12,11 +12,11 @@ from morph_engine import Trajectory, backend, methods, morph, presets
 from morph_engine.config import MorphConfig, RegulariserConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, SimulationError
-from morph_engine.losses.chamfer import Matches
-from morph_engine.losses.density_aware import DensityAwareChamfer
-from morph_engine.losses.matched_pairs import PairLoss
-from morph_engine.losses.nearest_others import nearest_others
-from morph_engine.losses.regularizers import Regularisers
+from morph_engine.losses.density_aware_chamfer import DensityAwareChamfer
+from morph_engine.losses.k_nearest_neighbors import k_nearest_neighbors
+from morph_engine.losses.matches import Matches
+from morph_engine.losses.pair_loss import PairLoss
+from morph_engine.losses.regularizers import Regularizers
 from morph_engine.losses.weighted_chamfer import WeightedChamfer, density_weights
 from morph_engine.methods import Method, Problem
 from morph_engine.optimization.amsgrad import AMSGrad
@@ -90,7 +90,7 @@ def test_regulariser_gradients_match_differences(weights: dict[str, float]) -> N
     x[:40] = x[40:80] + np.random.default_rng(3).normal(size=(40, 3)) * 0.02  # pairs that repel
     device = backend.active()
     source = np.random.default_rng(1).uniform(-1, 1, (300, 3))
-    regularisers = Regularisers(source, RegulariserConfig(**weights))
+    regularisers = Regularizers(source, RegulariserConfig(**weights))
     regularisers.rebuild(device.upload(x))
     gradient = device.vectors(300)
     regularisers.add_gradient(device.upload(x), gradient)
@@ -117,10 +117,10 @@ def test_regularisers_are_those_of_the_formulas() -> None:
     }
     for name, expected in terms.items():
         source = np.concatenate((x[:200], x[:100]))
-        regularisers = Regularisers(source, RegulariserConfig(**{name: 1.0}))
+        regularisers = Regularizers(source, RegulariserConfig(**{name: 1.0}))
         regularisers.rebuild(at)
         assert regularisers.value(at) == pytest.approx(expected, rel=1e-12)
-    assert Regularisers(x, RegulariserConfig()).value(at) == 0
+    assert Regularizers(x, RegulariserConfig()).value(at) == 0
 
 
 @pytest.mark.usefixtures("float64_device")
@@ -247,11 +247,11 @@ def test_density_weights_have_either_sign(weighting: str, dense_over_sparse: flo
 def test_nearest_others_of_coinciding_points() -> None:
     """A point is never its own neighbour, even among many copies of itself."""
     points = np.concatenate((np.zeros((20, 3)), np.random.default_rng(0).normal(size=(30, 3))))
-    index, distance = nearest_others(points, 6)
+    index, distance = k_nearest_neighbors(points, 6)
     assert index.shape == distance.shape == (50, 6)
     assert (index != np.arange(50)[:, None]).all()
     assert (distance[:20] == 0).all() and (index[:20] < 20).all()
-    assert nearest_others(points[:4], 6)[0].shape == (4, 3)
+    assert k_nearest_neighbors(points[:4], 6)[0].shape == (4, 3)
 
 
 def test_repulsion_needs_listed_neighbours() -> None:

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
-from morph_engine.rendering.raster import Canvas
-from morph_engine.surface import surface
+from morph_engine.rendering.rasterizer import Canvas
 
 FRONT = Camera(np.eye(3), np.zeros(3), 5.0)
 SMALL = (120, 90)
@@ -66,7 +66,7 @@ def test_what_is_left_out_is_hidden(lattice_ball, monkeypatch):
 def test_surface_and_particles_have_the_same_outline(lattice_ball):
     """A ball drawn either way covers the same pixels, but for a rim."""
     ball = lattice_ball(4.0, 0.4)
-    found = surface(ball, 0.4)
+    found = reconstruct_surface(ball, 0.4)
     view = Camera.facing(ball, look(), SMALL)
     particles = ink(picture(ball, spacing=0.4, view=view, size=SMALL))
     triangles = ink(picture(found.vertices, spacing=0.4, faces=found.faces, view=view, size=SMALL))

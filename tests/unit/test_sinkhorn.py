@@ -5,9 +5,9 @@ import pytest
 
 from morph_engine import backend
 from morph_engine.losses.sinkhorn import SinkhornDivergence
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
 
-GEOMETRY = Geometry(dx=1.0, half_extent=5.0)
+GRID = Grid(dx=1.0, half_extent=5.0)
 
 
 def cloud(seed: int, count: int = 200) -> np.ndarray:
@@ -19,7 +19,7 @@ def divergence(target: np.ndarray, positions: np.ndarray, rounds: int = 30):
     """The loss, and the device array of the particles."""
     device = backend.active()
     x = device.upload(positions)
-    loss = SinkhornDivergence(device.upload(target), x, geometry=GEOMETRY, blur=1.0, rounds=rounds)
+    loss = SinkhornDivergence(device.upload(target), x, grid=GRID, blur=1.0, rounds=rounds)
     return loss, x
 
 

@@ -36,7 +36,7 @@ class KeptSurface:
         vertices: Corner positions [grid units], shape [V, 3], float64.
         faces: Vertex indices, shape [F, 3], int32.
         report: `watertight`, `bodies`, `largest` (share of the largest in the area), `volume`
-            [dx^3], and, where the target is a mesh, `deviation` [dx] as of `surface.deviation`.
+            [dx^3], and, where the target is a mesh, `deviation` [dx] as of `surface_deviation`.
     """
 
     vertices: NDArray[np.float64]
@@ -92,7 +92,7 @@ def compute_surface(
 
 
 def _main() -> None:
-    from morph_engine import surface  # noqa: F401  the program's own memory is free
+    from morph_engine.geometry import surface_reconstruction  # noqa: F401  the program's own memory is free
 
     sandbox.enter()
     result, index, finished, path = sys.argv[1:]
@@ -112,9 +112,12 @@ def _keep(result: Path, index: int, finished: bool, path: Path) -> None:
 
 def _reconstruct(positions: NDArray[np.float32], record: RunRecord) -> KeptSurface:
     from morph_engine.config import MorphConfig
-    from morph_engine.surface import deviation, surface
+    from morph_engine.geometry.surface_reconstruction import (
+        reconstruct_surface,
+        surface_deviation,
+    )
 
-    found = surface(positions, MorphConfig.model_validate(record.config).spacing)
+    found = reconstruct_surface(positions, MorphConfig.model_validate(record.config).spacing)
     report: dict[str, Any] = {
         "watertight": found.watertight,
         "bodies": found.bodies,
@@ -123,7 +126,7 @@ def _reconstruct(positions: NDArray[np.float32], record: RunRecord) -> KeptSurfa
     }
     target = mesh_in_grid_units(record, "target")
     if target is not None:
-        report["deviation"] = deviation(found, target)
+        report["deviation"] = surface_deviation(found, target)
     return KeptSurface(found.vertices, found.faces, report)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from morph_engine import backend
 
 
-def nearest_others(
+def k_nearest_neighbors(
     points: NDArray[Any], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The nearest other points of the same set.

@@ -3,7 +3,7 @@
 The Chamfer distance to a lattice mixes coverage with registration to the lattice (algorithm 9.1).
 The numbers here see what a person sees: holes, spill and clumps (algorithm 9.2), and particles
 that stick out of the target's surface. Their short definitions stand with all others in
-`morph_engine.metrics.point_metrics.METRICS`.
+`morph_engine.metrics.definitions.METRICS`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from morph_engine.geometry.point_cloud import Points, finite_points, target_points
 from morph_engine.geometry.sampling import inside
-from morph_engine.metrics.point_metrics import (
-    COVERING_RADIUS_OVER_H,
-    Points,
-    finite_points,
-    target_points,
-)
+from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh

@@ -15,25 +15,13 @@ from morph_engine.config import MorphConfig
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMassLoss
-from morph_engine.mpm import transfer
-from morph_engine.mpm.step import Simulation
+from morph_engine.mpm.faults import NON_FINITE, fault_names
+from morph_engine.mpm.simulation import Simulation
 from morph_engine.optimization.events import Event
-from morph_engine.optimization.layer_optimizer import LayerControl, Norm
+from morph_engine.optimization.layer_optimizer import LayerOptimizer, Norm
 from morph_engine.optimization.schedule import FrameWeights
 
 SMALLEST = 1e-12
-
-FAULTS = {
-    transfer.NON_FINITE: "non-finite value",
-    transfer.OUTSIDE: "particle out of the domain",
-    transfer.INVERTED: "det F <= 0",
-    transfer.TOO_FAST: "particle faster than the grid allows",
-}
-
-
-def fault_names(faults: int) -> tuple[str, ...]:
-    """The faults whose bits are set, in words."""
-    return tuple(name for bit, name in FAULTS.items() if faults & bit)
 
 
 @dataclass(frozen=True)
@@ -70,7 +58,7 @@ class FrameReport:
     events: list[Event] = field(default_factory=list)
 
 
-class FrameControl:
+class FrameOptimizer:
     """Optimises the control of a simulation's frame.
 
     Args:
@@ -93,7 +81,7 @@ class FrameControl:
         self._config = config
         count = len(simulation.transitions)
         self._controls = [
-            LayerControl(simulation.particle_count, config.optimizer) for _ in range(count)
+            LayerOptimizer(simulation.particle_count, config.optimizer) for _ in range(count)
         ]
         size = config.optimizer.layers_per_step
         self._groups = [
@@ -125,7 +113,7 @@ class FrameControl:
         simulation.smoothing = weights.smoothing
         self._weights = weights
         self._step = self._first_step(distance)
-        simulation.dt = simulation.physics.dt
+        simulation.dt = self._config.time.dt
         for restart in range(self._config.watchdog.restarts + 1):
             self._reset()
             faults = simulation.forward()
@@ -133,7 +121,7 @@ class FrameControl:
                 self._losses = self._evaluate()
                 if math.isfinite(self._losses.physics + self._losses.chamfer):
                     break
-                faults = transfer.NON_FINITE
+                faults = NON_FINITE
             cause = ", ".join(fault_names(faults))
             if restart == self._config.watchdog.restarts:
                 raise SimulationError(
@@ -210,7 +198,7 @@ class FrameControl:
                 self._losses = after
                 return True
             if faults or not math.isfinite(value):
-                self._rejected.update(fault_names(faults or transfer.NON_FINITE))
+                self._rejected.update(fault_names(faults or NON_FINITE))
         for layer in group:
             self._simulation.transitions[layer].U = self._controls[layer].kept
         self._simulation.forward(lowest)
@@ -271,6 +259,3 @@ class FrameControl:
     def _norms(self, group: list[int]) -> list[float]:
         transitions = self._simulation.transitions
         return [max(self._norm(transitions[layer].U_bar), SMALLEST) for layer in group]
-
-
-__all__ = ["FrameControl", "FrameReport", "Losses", "fault_names"]

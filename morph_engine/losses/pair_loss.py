@@ -7,7 +7,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.losses.chamfer import Matches
+from morph_engine.losses.matches import Matches
 
 
 class PairLoss(ABC):

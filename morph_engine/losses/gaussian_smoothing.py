@@ -14,25 +14,25 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
 
 ORDER = 3  # Chebyshev nodes per cell and axis
 NODES = ORDER**3
 SMALLEST_WEIGHT = 1e-12
 
 
-class GaussianAverage:
+class GaussianSmoothing:
     """Averages vectors at moving particles.
 
     Args:
-        geometry: Background grid; its cells delimit the neighbourhood.
+        grid: Background grid; its cells delimit the neighbourhood.
         sigma: Standard deviation [dx].
     """
 
-    def __init__(self, geometry: Geometry, sigma: float) -> None:
-        self._geometry = geometry
+    def __init__(self, grid: Grid, sigma: float) -> None:
+        self._grid = grid
         self._table = backend.active().scalars(3 * ORDER * ORDER)
-        self._table.from_numpy(_exchange_table(sigma * geometry.dx, geometry.dx))
+        self._table.from_numpy(_exchange_table(sigma * grid.dx, grid.dx))
         self._sums = self._scratch = backend.active().vectors(NODES, 4)
 
     def apply(self, x: Any, values: Any) -> None:
@@ -49,16 +49,18 @@ class GaussianAverage:
             self._sums, self._scratch = device.vectors(count, 4), device.vectors(count, 4)
         lows, sizes = ti.Vector(low.tolist()), ti.Vector(size.tolist())
         lanes = 1 if device.on_cpu else x.shape[0]
-        _spread(x, values, self._sums, lows, sizes, count, lanes, self._geometry, not device.on_cpu)
+        _spread(x, values, self._sums, lows, sizes, count, lanes, self._grid, not device.on_cpu)
         for axis in range(3):
             _exchange(self._sums, self._scratch, self._table, sizes, axis, count)
             self._sums, self._scratch = self._scratch, self._sums
-        _read(x, values, self._sums, lows, sizes, self._geometry)
+        _read(x, values, self._sums, lows, sizes, self._grid)
 
     def _occupied_cells(self, x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lowest cell and number of cells per axis of the box that holds all particles."""
-        g = self._geometry
-        cells = np.clip(np.floor((np.nan_to_num(x) - g.origin) / g.dx), 0, g.nodes - 1).astype(int)
+        g = self._grid
+        cells = np.clip(np.floor((np.nan_to_num(x) - g.origin) / g.dx), 0, g.resolution - 1).astype(
+            int
+        )
         low = cells.min(axis=0)
         return low, cells.max(axis=0) - low + 1
 
@@ -88,9 +90,9 @@ def _lagrange(t: float):
 
 
 @ti.func
-def _locate(position, low, size, geometry: ti.template()):
+def _locate(position, low, size, grid: ti.template()):
     """First node of a particle's cell in the box, and its place in the cell per axis."""
-    place = (position - geometry.origin) / geometry.dx
+    place = (position - grid.origin) / grid.dx
     cell = ti.math.clamp(ti.floor(place, int), low, low + size - 1)
     local = cell - low
     first = ((local.x * size.y + local.y) * size.z + local.z) * NODES
@@ -106,7 +108,7 @@ def _spread(
     size: ti.types.vector(3, int),
     count: int,
     lanes: int,
-    geometry: ti.template(),
+    grid: ti.template(),
     atomic: ti.template(),
 ):
     """Each particle's (value, 1) to the nodes of its cell; on the CPU in particle order."""
@@ -115,7 +117,7 @@ def _spread(
     chunk = (x.shape[0] + lanes - 1) // lanes
     for lane in range(lanes):
         for p in range(lane * chunk, ti.min((lane + 1) * chunk, x.shape[0])):
-            first, t = _locate(x[p], low, size, geometry)
+            first, t = _locate(x[p], low, size, grid)
             wx, wy, wz = _lagrange(t.x), _lagrange(t.y), _lagrange(t.z)
             value = ti.Vector([values[p].x, values[p].y, values[p].z, 1.0])
             for a, b, c in ti.static(ti.ndrange(ORDER, ORDER, ORDER)):
@@ -159,11 +161,11 @@ def _read(
     sums: ti.types.ndarray(),
     low: ti.types.vector(3, int),
     size: ti.types.vector(3, int),
-    geometry: ti.template(),
+    grid: ti.template(),
 ):
     """Each particle's average from the nodes of its cell."""
     for p in range(x.shape[0]):
-        first, t = _locate(x[p], low, size, geometry)
+        first, t = _locate(x[p], low, size, grid)
         wx, wy, wz = _lagrange(t.x), _lagrange(t.y), _lagrange(t.z)
         total = ti.zero(sums[0])
         for a, b, c in ti.static(ti.ndrange(ORDER, ORDER, ORDER)):

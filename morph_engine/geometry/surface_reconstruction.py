@@ -21,10 +21,8 @@ from scipy.sparse.csgraph import connected_components
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.point_cloud import finite_points
 from morph_engine.geometry.topology import signed_volume
-from morph_engine.metrics.point_metrics import finite_points
-
-__all__ = ["Surface", "deviation", "surface"]
 
 KERNEL_OVER_H = 2.5
 """Reach of the kernel over the lattice spacing. At 2, a fill of uneven density tears into splinters
@@ -52,8 +50,8 @@ class Surface:
     """A triangle mesh, counter-clockwise seen from outside.
 
     Attributes:
-        vertices: Corner positions [dx], shape [V, 3], float64; those of `surface` are float32
-            numbers.
+        vertices: Corner positions [dx], shape [V, 3], float64; those of
+            `reconstruct_surface` are float32 numbers.
         faces: Vertex indices, shape [F, 3], int32.
     """
 
@@ -104,7 +102,9 @@ class Surface:
         return np.bincount(self.part_of_face, weights=areas).astype(np.float64)
 
 
-def surface(positions: npt.ArrayLike, spacing: float, *, smoothing: int = SMOOTHING) -> Surface:
+def reconstruct_surface(
+    positions: npt.ArrayLike, spacing: float, *, smoothing: int = SMOOTHING
+) -> Surface:
     """Reconstruct the surface of a fill.
 
     Args:
@@ -147,7 +147,7 @@ def surface(positions: npt.ArrayLike, spacing: float, *, smoothing: int = SMOOTH
     return kept
 
 
-def deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
+def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
     """How far a surface lies from that of the target, and the other way round.
 
     Distances are from 20 000 points, spread evenly by area with a fixed seed, to the nearest point

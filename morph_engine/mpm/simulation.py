@@ -8,22 +8,23 @@ from typing import Any
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.mpm import transfer
 from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
-from morph_engine.mpm.kernel import Geometry
+from morph_engine.mpm.grid import Grid
+from morph_engine.mpm.grid_to_particles import grid_to_particles, grid_to_particles_adjoint
+from morph_engine.mpm.particles_to_grid import particles_to_grid, particles_to_grid_adjoint
+from morph_engine.mpm.private_grids import PrivateGrids
 from morph_engine.mpm.state import Layer, Transition
 
 
 @dataclass(frozen=True)
-class Physics:
-    """Material and time step (algorithm 0).
+class Material:
+    """Elastic matter in particles (algorithm 0).
 
     Attributes:
         model: NEO_HOOKEAN or FIXED_COROTATED.
         lame_lambda, lame_mu: Lame parameters.
         particle_mass: Mass of every particle.
         drag: Drag coefficient [1/s].
-        dt: Time step [s].
     """
 
     model: int
@@ -31,7 +32,6 @@ class Physics:
     lame_mu: float
     particle_mass: float
     drag: float
-    dt: float
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,9 @@ class Simulation:
 
     Args:
         rest_volume: Rest volumes [dx^3], shape [n].
-        geometry: Background grid.
-        physics: Material and time step; `dt` may be changed between frames.
+        grid: Background grid.
+        material: What the particles are made of.
+        dt: Time step [s]; may be changed between frames.
         transitions: Time steps per frame, each with its own control.
         domain: Particles outside [-domain, domain]^3 count as a fault [dx].
         largest_cells_per_step: A particle that moves farther in a step is a fault [cells].
@@ -70,8 +71,9 @@ class Simulation:
         self,
         rest_volume: NDArray[Any],
         *,
-        geometry: Geometry,
-        physics: Physics,
+        grid: Grid,
+        material: Material,
+        dt: float,
         transitions: int,
         domain: float,
         largest_cells_per_step: float = 0.5,
@@ -80,22 +82,22 @@ class Simulation:
         device = backend.active()
         n = len(rest_volume)
         self.particle_count = n
-        self.geometry = geometry
-        self.physics = physics
-        self.dt = physics.dt
+        self.grid = grid
+        self.material = material
+        self.dt = dt
         self.domain = domain
         self.largest_cells_per_step = largest_cells_per_step
         self.adjoint = adjoint
         self.smoothing = 0.0
-        rotations = physics.model == FIXED_COROTATED
+        rotations = material.model == FIXED_COROTATED
         self.layers = [Layer(n) for _ in range(transitions + 1)]
         self.transitions = [
-            Transition(n, geometry.node_count, rotations=rotations) for _ in range(transitions)
+            Transition(n, grid.node_count, rotations=rotations) for _ in range(transitions)
         ]
         self.volume = device.upload(rest_volume)
         self.bar = Layer(n)
-        self.scratch = GridScratch(n, geometry)
-        self._grid_bar = device.vectors(geometry.node_count, 8)
+        self.private = PrivateGrids(n, grid)
+        self._grid_bar = device.vectors(grid.node_count, 8)
         self._faults = device.integers(1)
 
     @property
@@ -107,22 +109,22 @@ class Simulation:
         """Simulate from layer `first` to the last one (algorithm 2).
 
         Returns:
-            Fault bits (`transfer.NON_FINITE`, ...) of all these steps; 0 when all is well.
+            Fault bits (`faults.NON_FINITE`, ...) of all these steps; 0 when all is well.
         """
-        p, scratch = self.physics, self.scratch
+        p, private = self.material, self.private
         self._faults[0] = 0
         for k in range(first, len(self.transitions)):
             here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
-            transfer.particles_to_grid(
+            particles_to_grid(
                 here.x, here.v, here.C, here.F, step.U, step.R, self.volume,
-                scratch.partial, scratch.claims, step.grid,
+                private.partial, private.touched, step.nodes,
                 self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
-                scratch.chunk_count, scratch.chunk_size, self.geometry, p.model, scratch.atomic,
+                private.chunk_count, private.chunk_size, self.grid, p.model, private.atomic,
             )  # fmt: skip
-            transfer.grid_to_particles(
-                here.x, here.F, step.U, step.grid, there.x, there.v, there.C, there.F,
+            grid_to_particles(
+                here.x, here.F, step.U, step.nodes, there.x, there.v, there.C, there.F,
                 self._faults, self.particle_count, self.dt, self.smoothing, self.domain,
-                self.largest_cells_per_step * self.geometry.dx / self.dt, self.geometry,
+                self.largest_cells_per_step * self.grid.dx / self.dt, self.grid,
             )  # fmt: skip
         return int(self._faults[0])
 
@@ -136,36 +138,24 @@ class Simulation:
             last: The lowest layer to reach.
             decay: Factor on the whole adjoint state after every transition (algorithm 7.3 H1).
         """
-        p, scratch, flags = self.physics, self.scratch, self.adjoint
+        p, private, flags = self.material, self.private, self.adjoint
         factor = 1.0 if flags.drop_smoothing else 1.0 - self.smoothing
         bar = self.bar
         for k in reversed(range(last, len(self.transitions))):
             here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
-            transfer.particles_to_grid_adjoint(
+            particles_to_grid_adjoint(
                 here.x, here.F, step.U, bar.x, bar.v, bar.C, bar.F,
-                scratch.partial, scratch.claims, step.grid, self._grid_bar,
+                private.partial, private.touched, step.nodes, self._grid_bar,
                 self.particle_count, factor, self.dt,
-                scratch.chunk_count, scratch.chunk_size, self.geometry, scratch.atomic,
+                private.chunk_count, private.chunk_size, self.grid, private.atomic,
             )  # fmt: skip
-            transfer.grid_to_particles_adjoint(
+            grid_to_particles_adjoint(
                 here.x, here.v, here.C, here.F, step.U, step.R, there.C, there.v, self.volume,
                 self._grid_bar, bar.x, bar.v, bar.C, bar.F, step.U_bar,
                 self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
                 self.smoothing, factor, 0.0 if flags.drop_drag else 1.0,
-                1.0 if flags.carry_control else 0.0, decay, self.geometry, p.model,
+                1.0 if flags.carry_control else 0.0, decay, self.grid, p.model,
             )  # fmt: skip
-
-
-class GridScratch:
-    """Private grids and chunk bookkeeping of the scattering kernels."""
-
-    def __init__(self, particle_count: int, geometry: Geometry) -> None:
-        device = backend.active()
-        self.atomic = not device.on_cpu
-        self.chunk_count, self.chunk_size = device.chunks(particle_count)
-        grids = self.chunk_count if device.on_cpu else 1
-        self.partial = device.vectors(grids * geometry.node_count, 4)
-        self.claims = device.integer_vectors(grids, 4)
 
 
 __all__ = [
@@ -174,7 +164,6 @@ __all__ = [
     "NEO_HOOKEAN",
     "PUBLISHED",
     "AdjointFlags",
-    "GridScratch",
-    "Physics",
+    "Material",
     "Simulation",
 ]

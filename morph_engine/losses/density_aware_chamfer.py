@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.losses.chamfer import Matches
-from morph_engine.losses.matched_pairs import PairLoss
+from morph_engine.losses.matches import Matches
+from morph_engine.losses.pair_loss import PairLoss
 
 
 class DensityAwareChamfer(PairLoss):

@@ -1,0 +1,81 @@
+"""Sets of points: their finite part, and how close together they lie."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from morph_engine.errors import MeshError
+
+Points = npt.NDArray[np.float64]
+
+
+def finite_points(positions: npt.ArrayLike) -> tuple[Points, npt.NDArray[np.bool_]]:
+    """Split off particles that have no usable position.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3], any float type.
+
+    Returns:
+        The finite positions [dx], shape [k, 3], float64, and the mask [n] that selects them.
+
+    Raises:
+        MeshError: The shape is not [n, 3].
+    """
+    points = np.asarray(positions)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeshError(
+            f"A point cloud has shape {list(points.shape)}.",
+            "Pass one row of x, y, z per point, shape [n, 3].",
+        )
+    finite = np.isfinite(points).all(axis=1)
+    return points[finite].astype(np.float64), finite
+
+
+def target_points(target: npt.ArrayLike) -> Points:
+    """Check a target cloud, which unlike a running simulation has no excuse.
+
+    Args:
+        target: Target points [dx], shape [m, 3], any float type.
+
+    Returns:
+        The points [dx], shape [m, 3], float64.
+
+    Raises:
+        MeshError: The shape is not [m, 3], there is no point, or one is not finite.
+    """
+    points, finite = finite_points(target)
+    if not finite.all():
+        raise MeshError(
+            f"{np.count_nonzero(~finite)} target points are not finite.",
+            "Remove the rows with NaN or infinite coordinates.",
+        )
+    if not len(points):
+        raise MeshError("The target has no points.", "Pass at least one target point.")
+    return points
+
+
+def distance_to_other(
+    distinct: Points,
+    copies: npt.NDArray[np.intp],
+    tree: cKDTree,
+    *,
+    bound: float = math.inf,
+    workers: int = 1,
+) -> Points:
+    """Distance from each point to the nearest other one [dx], shape [k].
+
+    Identical points are told apart first: a tree cannot split them, and searching them is O(n^2).
+
+    Args:
+        distinct: Points, no two of them equal [dx], shape [k, 3], float64.
+        copies: How many there are of each, shape [k].
+        tree: Tree of the distinct points.
+        bound: Distances beyond this are infinite [dx].
+        workers: Threads; -1 takes every core.
+    """
+    gap, _ = tree.query(distinct, k=[2], distance_upper_bound=bound, workers=workers)
+    return np.where(copies > 1, 0.0, gap[:, 0])

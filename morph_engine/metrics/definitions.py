@@ -1,0 +1,199 @@
+"""Every number we print, defined once.
+
+Particles x_p (N of them) are compared with target points q_j (M of them) by exact nearest
+neighbours in float64::
+
+    d_fwd(p) = min_j |x_p - q_j|        d_rev(j) = min_p |x_p - q_j|
+    d_other(p) = min_{r != p} |x_p - x_r|
+
+[condition] is 1 where it holds and 0 elsewhere; #S is the number of elements of S. Lengths are in
+grid units (dx). A target that is a lattice of spacing h has floors: a particle dropped at random
+inside it is h/2 (rms) from the nearest lattice point, so compare these numbers only at equal h, or
+divided by h (algorithm 9.1). `morph_engine.metrics.volume` has the floor-free numbers.
+
+Particles with a non-finite coordinate are counted in ``escaped`` and nowhere else: they take part
+in no distance or share, and N is the number of the others. With no finite particle at all, every
+metric takes its worst value: distances are inf, shares 0 where higher is better, 1 where lower is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class MetricDefinition:
+    """What one number means.
+
+    Attributes:
+        formula: Plain-text formula in the notation of this module.
+        unit: ``dx`` (grid units), ``dx^2``, ``dx/s``, ``h`` (sample spacings), ``share`` (0 to 1),
+            ``count``, ``ratio``, ``energy`` (mass dx^2 / s^2) or ``-`` (a pure number).
+        better: Direction of improvement: ``lower``, ``higher``, or ``one`` (the nearer to 1).
+        meaning: What the number tells, in a few words.
+    """
+
+    formula: str
+    unit: Literal["dx", "dx^2", "dx/s", "s", "h", "share", "count", "ratio", "energy", "-"]
+    better: Literal["lower", "higher", "one"]
+    meaning: str
+
+
+METRICS: dict[str, MetricDefinition] = {
+    # nearest neighbours (algorithm 9)
+    "s2t": MetricDefinition(
+        "sqrt(mean_p d_fwd^2)", "dx", "lower", "how far particles are from the target"
+    ),
+    "t2s": MetricDefinition(
+        "sqrt(mean_j d_rev^2)", "dx", "lower", "how far the target is from particles"
+    ),
+    "two_sided": MetricDefinition(
+        "sqrt(mean_p d_fwd^2 + mean_j d_rev^2)", "dx", "lower", "Chamfer distance, root-sum form"
+    ),
+    "s2t_over_h": MetricDefinition("s2t / h", "h", "lower", "s2t, comparable across resolutions"),
+    "t2s_over_h": MetricDefinition("t2s / h", "h", "lower", "t2s, comparable across resolutions"),
+    "two_sided_over_h": MetricDefinition(
+        "two_sided / h", "h", "lower", "two_sided, comparable across resolutions"
+    ),
+    "hausdorff": MetricDefinition(
+        "max(max_p d_fwd, max_j d_rev)", "dx", "lower", "the worst point of either set"
+    ),
+    "precision": MetricDefinition(
+        "mean_p [d_fwd < tau]", "share", "higher", "particles close to the target"
+    ),
+    "recall": MetricDefinition(
+        "mean_j [d_rev < tau]", "share", "higher", "target points close to a particle"
+    ),
+    "f1": MetricDefinition(
+        "2 precision recall / (precision + recall)",
+        "share",
+        "higher",
+        "harmonic mean of precision and recall, 0 if both are 0",
+    ),
+    "coverage": MetricDefinition(
+        "mean_j [d_rev < 0.87 h]", "share", "higher", "target points that are not in a hole"
+    ),
+    # collapse
+    "overlap_01": MetricDefinition(
+        "mean_p [d_other < 0.01]",
+        "share",
+        "lower",
+        "particles that coincide with another",
+    ),
+    "overlap_h10": MetricDefinition(
+        "mean_p [d_other < 0.1 h]",
+        "share",
+        "lower",
+        "particles that nearly coincide with another",
+    ),
+    "least_gap": MetricDefinition(
+        "min(1, min_p d_other / h)",
+        "h",
+        "higher",
+        "smallest distance of two particles; not told apart beyond h",
+    ),
+    "many_to_one": MetricDefinition(
+        "#{j : j is nearest to some p} / N",
+        "share",
+        "higher",
+        "distinct nearest targets per particle; 1 when no two particles share one",
+    ),
+    "targets_used": MetricDefinition(
+        "#{j : j is nearest to some p} / M",
+        "share",
+        "higher",
+        "target points that are the nearest one of some particle",
+    ),
+    # state
+    "escaped": MetricDefinition(
+        "#{p : x_p not in [-d, d]^3}",
+        "count",
+        "lower",
+        "particles outside the domain of half edge d, where runs with a grid end",
+    ),
+    "det_f_min": MetricDefinition(
+        "min_p det F_p", "ratio", "one", "strongest compression; <= 0 is an inverted particle"
+    ),
+    "det_f_max": MetricDefinition("max_p det F_p", "ratio", "one", "strongest expansion"),
+    "det_f_mean": MetricDefinition(
+        "mean_p det F_p", "ratio", "one", "volume over volume at rest, as far as the grid moved it"
+    ),
+    "max_move": MetricDefinition(
+        "max_p norm(x_p - x_p of the frame before)", "dx", "lower", "farthest way in a frame"
+    ),
+    "max_speed": MetricDefinition("max_p norm(v_p)", "dx/s", "lower", "fastest particle"),
+    "kinetic_energy": MetricDefinition(
+        "1/2 sum_p m_p norm(v_p)^2", "energy", "lower", "motion left in the cloud"
+    ),
+    # what the optimiser sees (algorithm 3, 5.1)
+    "loss_physics": MetricDefinition(
+        "1/2 sum_i (ln(M_i + 1 + eps) - ln(M*_i + 1 + eps))^2",
+        "-",
+        "lower",
+        "grid mass loss over all nodes i, eps = 1e-4",
+    ),
+    "loss_chamfer": MetricDefinition(
+        "mean_p l(d_fwd) + w_rev mean_j l(d_rev)",
+        "-",
+        "lower",
+        "Chamfer loss before its weight, l quadratic then linear",
+    ),
+    "loss_points": MetricDefinition(
+        "1/2 (mean_p omega_p d_fwd^2 + mean_j omega_j d_rev^2) + regularisers",
+        "dx^2",
+        "lower",
+        "objective of methods that move points; of density_aware, swd and sinkhorn their distance",
+    ),
+    "loss_transport": MetricDefinition(
+        "mean_p norm(x_p - y_p)^2",
+        "dx^2",
+        "lower",
+        "how far `transport` is from where its particles belong by now, y_p",
+    ),
+    "correction": MetricDefinition(
+        "mean_p sum of norm(moves beyond the motion of the grid in the frame)",
+        "dx",
+        "lower",
+        "what `transport` mends of the motion in a frame",
+    ),
+    # how the frame was computed
+    "dt": MetricDefinition("dt", "s", "higher", "time step, halved where a trial failed"),
+    "accepted_steps": MetricDefinition(
+        "#{steps taken}", "count", "higher", "control steps of the frame that improved it"
+    ),
+    "failed_steps": MetricDefinition(
+        "#{steps refused}", "count", "lower", "control steps of which every trial was rejected"
+    ),
+    # fill of the volume (algorithm 9.2)
+    "iou": MetricDefinition(
+        "#(A n B) / #(A u B)", "share", "higher", "volume overlap of the two fills"
+    ),
+    "cover": MetricDefinition(
+        "#(A n B) / #B", "share", "higher", "part of the target's volume that is filled"
+    ),
+    "spill": MetricDefinition(
+        "#(A - B) / #A", "share", "lower", "part of the fill outside the target's volume"
+    ),
+}
+METRICS |= {
+    f"rho_p{percent:02}": MetricDefinition(
+        f"{percent} % quantile of rho_j",
+        "ratio",
+        "one",
+        f"density ratio that {percent} % of the target points stay below",
+    )
+    for percent in (1, 5, 50, 95, 99)
+}
+METRICS |= {
+    # against the target's mesh, of winding number w and surface S
+    "outside_share": MetricDefinition(
+        "mean_p [w(x_p) < 1/2]", "share", "lower", "particles outside the target mesh"
+    ),
+    "outside_mean": MetricDefinition(
+        "mean_{p outside} d_S(x_p)", "dx", "lower", "how far those are from its surface, 0 if none"
+    ),
+    "outside_max": MetricDefinition(
+        "max_{p outside} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
+    ),
+}

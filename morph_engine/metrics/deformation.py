@@ -1,0 +1,53 @@
+"""Metrics of the deformation gradients F."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from morph_engine.geometry.point_cloud import Points
+
+
+def determinants(deformation: npt.ArrayLike) -> Points:
+    """det F of each particle.
+
+    Args:
+        deformation: Deformation gradients F [-], shape [n, 3, 3].
+
+    Returns:
+        Determinants [ratio], shape [n], float64.
+
+    Raises:
+        ValueError: The shape is not [n, 3, 3] with n > 0.
+    """
+    gradients = np.asarray(deformation, dtype=np.float64)
+    if gradients.ndim != 3 or gradients.shape[1:] != (3, 3) or not len(gradients):
+        raise ValueError(f"F has shape {list(gradients.shape)}, expected [n, 3, 3] with n > 0")
+    # the rows' triple product: exact on the identity, and quiet where LAPACK warns of NaN
+    with np.errstate(invalid="ignore", over="ignore"):
+        det: Points = np.einsum(
+            "pi,pi->p", gradients[:, 0], np.cross(gradients[:, 1], gradients[:, 2])
+        )
+    return det
+
+
+def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
+    """Range and mean of det F over the particles.
+
+    Args:
+        deformation: Deformation gradients F [-], shape [n, 3, 3].
+
+    Returns:
+        ``det_f_min``, ``det_f_max`` and ``det_f_mean``. A non-finite determinant counts as the
+        worst value of each, -inf, inf and inf.
+
+    Raises:
+        ValueError: The shape is not [n, 3, 3] with n > 0.
+    """
+    det = determinants(deformation)
+    known = np.isfinite(det)
+    return {
+        "det_f_min": float(np.where(known, det, -np.inf).min()),
+        "det_f_max": float(np.where(known, det, np.inf).max()),
+        "det_f_mean": float(np.where(known, det, np.inf).mean()),
+    }

@@ -1,0 +1,116 @@
+"""The background grid: its nodes, and where a particle lies among them (algorithm 2.1).
+
+Nodes are stored in one flat array, z fastest. The grid carries `PADDING` extra nodes on each side,
+which never hold mass or velocity: a stencil may reach over the border without a branch, and nodes
+outside the domain count for nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from morph_engine.backend import CPU_CHUNK_COUNT
+from morph_engine.errors import ConfigError
+
+PADDING = 2
+LARGEST_INDEX = 2**27 - 1  # of a node, all private grids together
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The background grid, a compile-time constant of every kernel that uses it.
+
+    Attributes:
+        dx: Node spacing.
+        half_extent: The domain is [-half_extent, half_extent]^3, in the units of dx.
+        width: Nodes of a stencil per axis: 4 for cubic splines, 3 for quadratic ones.
+    """
+
+    dx: float = 1.0
+    half_extent: float = 16.0
+    width: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse a grid whose node numbers do not fit.
+
+        Raises:
+            ConfigError: The private grids hold more than `LARGEST_INDEX` nodes.
+        """
+        if self.node_count * CPU_CHUNK_COUNT > LARGEST_INDEX:
+            raise ConfigError(
+                f"A grid of {self.resolution} nodes per axis is too large.",
+                "Use a larger grid spacing or a smaller domain.",
+            )
+
+    @property
+    def resolution(self) -> int:
+        """Nodes per axis, padding included."""
+        return round(2 * self.half_extent / self.dx) + 1 + 2 * PADDING
+
+    @property
+    def node_count(self) -> int:
+        """Nodes in all, padding included."""
+        return self.resolution**3
+
+    @property
+    def origin(self) -> float:
+        """Coordinate of the lowest node, padding included, along every axis."""
+        return -self.half_extent - PADDING * self.dx
+
+    @property
+    def affine(self) -> float:
+        """The constant c with sum_i w d (x) d = I / c [1/dx^2]."""
+        return (3.0 if self.width == 4 else 4.0) / self.dx**2
+
+
+def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
+    """Particles by grid cell, z fastest: neighbours in space become neighbours in memory.
+
+    Args:
+        x: Positions [dx], shape [n, 3].
+        grid: The grid.
+    """
+    cell = np.floor((x - grid.origin) / grid.dx).astype(np.int64)
+    key = (cell[:, 0] * grid.resolution + cell[:, 1]) * grid.resolution + cell[:, 2]
+    return np.argsort(key, kind="stable")
+
+
+@ti.func
+def base_and_offset(position, grid: ti.template()):
+    """Lowest node of a particle's stencil, and the particle's position relative to it in cells.
+
+    Both are clamped so that no particle, wherever it is, addresses memory outside the grid; the
+    step reports such a particle as a fault.
+    """
+    cell = (position - grid.origin) / grid.dx
+    base = ti.floor(cell, int) - 1 if ti.static(grid.width == 4) else ti.floor(cell - 0.5, int)
+    base = ti.math.clamp(base, 0, grid.resolution - grid.width)
+    low = ti.static(1.0 if grid.width == 4 else 0.5)
+    return base, ti.math.clamp(cell - base, low, low + 1.0)
+
+
+@ti.func
+def flat_index(node, grid: ti.template()):
+    """Position of an integer node in the flat node array."""
+    return (node.x * grid.resolution + node.y) * grid.resolution + node.z
+
+
+@ti.func
+def is_inside(i: int, grid: ti.template()):
+    """Whether flat node i belongs to the domain, not to the padding."""
+    n = ti.static(grid.resolution)
+    node = ti.Vector([i // (n * n), (i // n) % n, i % n])
+    return node.min() >= PADDING and node.max() < n - PADDING
+
+
+@ti.func
+def row_index(corner: int, i: int, j: int, grid: ti.template()):
+    """Flat index of the first node of row (i, j), along z, of the stencil at `corner`.
+
+    The mask changes no index: it shows the compiler that an index cannot overflow, so that the
+    nodes of a row lie side by side and can be one vector.
+    """
+    return (corner + (i * grid.resolution + j) * grid.resolution) & LARGEST_INDEX
