@@ -20,7 +20,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
 MOST_CELLS = 250
-"""Cells per axis; with more, a node's number would not fit (`morph_engine.mpm.kernel.Geometry`)."""
+"""Cells per axis; with more, a node's number would not fit (`morph_engine.mpm.grid.Grid`)."""
 
 COURANT_LIMIT = 1.0
 """An elastic wave crosses at most this many cells in a time step (Courant condition)."""

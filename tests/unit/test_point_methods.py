@@ -244,7 +244,7 @@ def test_density_weights_have_either_sign(weighting: str, dense_over_sparse: flo
     np.testing.assert_allclose(weights[216:] / weights[:216], dense_over_sparse, rtol=1e-6)
 
 
-def test_nearest_others_of_coinciding_points() -> None:
+def test_k_nearest_neighbors_of_coinciding_points() -> None:
     """A point is never its own neighbour, even among many copies of itself."""
     points = np.concatenate((np.zeros((20, 3)), np.random.default_rng(0).normal(size=(30, 3))))
     index, distance = k_nearest_neighbors(points, 6)
