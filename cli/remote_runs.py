@@ -8,10 +8,10 @@ from pathlib import Path
 
 from chamfer_morph.client.client import MorphClient
 from chamfer_morph.client.errors import ServiceError
-from chamfer_morph.reproduction.execution import Progress, Watcher, known_records
 from chamfer_morph.reproduction.meshes import SUFFIX, MeshFolder
-from chamfer_morph.reproduction.run import Run
-from chamfer_morph.reproduction.store import Record, Store, measured
+from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.runner import Progress, ProgressCallback, known_records
+from chamfer_morph.reproduction.runs.store import Record, Store, record_from_result
 from chamfer_morph.schemas import Job, JobState, MeshShape, Shape
 from morph_engine.errors import ResultError
 from morph_engine.results.trajectory import Trajectory
@@ -25,7 +25,7 @@ def execute_remotely(
     store: Store,
     meshes: MeshFolder,
     *,
-    watch: Watcher = lambda progress: None,
+    on_progress: ProgressCallback = lambda progress: None,
 ) -> dict[str, Record]:
     """Have the runs that are not in the store yet computed by a service.
 
@@ -36,7 +36,7 @@ def execute_remotely(
         runs: What is wanted.
         store: Where results are and go.
         meshes: Where meshes are; each is uploaded once.
-        watch: Told how far it is, every few seconds.
+        on_progress: Told how far it is, every few seconds.
 
     Returns:
         The records of all runs by id, failed ones included.
@@ -62,8 +62,8 @@ def execute_remotely(
                 progress.finished[run.id] = _fetch(client, job, run, digests[run.id], store)
             else:
                 progress.frames[run.id] = job.progress.frame
-            watch(progress)
-        watch(progress)
+            on_progress(progress)
+        on_progress(progress)
         if len(progress.finished) < len(missing):
             time.sleep(POLL_SECONDS)
     return known | progress.finished
@@ -108,7 +108,7 @@ def _fetch(client: MorphClient, job: Job, run: Run, digest: str, store: Store) -
                     run, digest, f"The service computes with other settings (job {job.id})."
                 )
             cost = job.outcome.cpu_seconds if job.outcome else 0.0
-            record = measured(run, digest, result, cpu_seconds=cost)
+            record = record_from_result(run, digest, result, cpu_seconds=cost)
     except ServiceError as error:
         if error.status is None:
             raise

@@ -13,10 +13,10 @@ from chamfer_morph.cli.exit_status import JOB_FAILED, print_json
 from chamfer_morph.cli.options import JsonOption, KeyOption, QuietOption, connect
 
 if TYPE_CHECKING:
-    from chamfer_morph.reproduction.catalog import Subject
     from chamfer_morph.reproduction.meshes import MeshFolder
-    from chamfer_morph.reproduction.section import Section
-    from chamfer_morph.reproduction.store import Record, Store
+    from chamfer_morph.reproduction.registry import AnyExperiment
+    from chamfer_morph.reproduction.report.section import Section
+    from chamfer_morph.reproduction.runs.store import Record, Store
 
 app = typer.Typer()
 
@@ -50,18 +50,18 @@ def reproduce(
 
     What has been computed is kept and used again; an interrupted command goes on when repeated.
     """
-    from chamfer_morph.reproduction.catalog import choose, runs_of
     from chamfer_morph.reproduction.meshes import MeshFolder
-    from chamfer_morph.reproduction.output import write
-    from chamfer_morph.reproduction.store import Store
+    from chamfer_morph.reproduction.registry import runs_of, select
+    from chamfer_morph.reproduction.report.writer import write
+    from chamfer_morph.reproduction.runs.store import Store
 
     if not tables:
         return _print_list(as_json=as_json)
-    subjects = choose(tables, quick=quick)
+    experiments = select(tables, quick=quick)
     folder, store = MeshFolder(meshes), Store(results)
-    folder.check(name for run in runs_of(subjects) for name in run.shapes)
-    records = _compute(subjects, store, folder, jobs=jobs, server=server, key=key, quiet=quiet)
-    output = write(subjects, records, store)
+    folder.check(name for run in runs_of(experiments) for name in run.shapes)
+    records = _compute(experiments, store, folder, jobs=jobs, server=server, key=key, quiet=quiet)
+    output = write(experiments, records, store)
     failed = [record for record in records.values() if not record.is_complete]
     if as_json:
         print_json(
@@ -84,7 +84,7 @@ def reproduce(
 
 
 def _compute(
-    subjects: tuple[Subject, ...],
+    experiments: tuple[AnyExperiment, ...],
     store: Store,
     meshes: MeshFolder,
     *,
@@ -95,11 +95,11 @@ def _compute(
 ) -> dict[str, Record]:
     """Compute what is missing, here or by a service; the records of all runs."""
     from chamfer_morph.cli.reproduce_display import ReproductionDisplay, print_plan
-    from chamfer_morph.reproduction.catalog import runs_of
-    from chamfer_morph.reproduction.execution import execute, known_records, usual_jobs
+    from chamfer_morph.reproduction.registry import runs_of
+    from chamfer_morph.reproduction.runs.runner import default_jobs, execute, known_records
 
-    at_once = jobs or usual_jobs()
-    runs = runs_of(subjects)
+    at_once = jobs or default_jobs()
+    runs = runs_of(experiments)
     known = known_records(runs, store, {run.id: run.digest(meshes) for run in runs})
     missing = [run for run in runs if run.id not in known]
     if not quiet:
@@ -109,11 +109,11 @@ def _compute(
         ReproductionDisplay(jobs=at_once, quiet=quiet) as display,
     ):
         if server is None:
-            return execute(runs, store, meshes, jobs=at_once, watch=display.show)
+            return execute(runs, store, meshes, jobs=at_once, on_progress=display.show)
         from chamfer_morph.cli.remote_runs import execute_remotely
 
         with connect(server, key) as client:
-            return execute_remotely(client, runs, store, meshes, watch=display.show)
+            return execute_remotely(client, runs, store, meshes, on_progress=display.show)
 
 
 def _report_interrupted(server: str | None) -> None:
@@ -124,11 +124,11 @@ def _report_interrupted(server: str | None) -> None:
 def _print_list(*, as_json: bool) -> None:
     """Print what there is to reproduce."""
     from chamfer_morph.cli.tables import clock, print_table
-    from chamfer_morph.reproduction.catalog import SUBJECTS, cpu_seconds_of, runs_of
+    from chamfer_morph.reproduction.registry import EXPERIMENTS, cpu_seconds_of, runs_of
 
     rows = [
-        (name, subject.title, subject.origin, len(runs_of([subject])), cpu_seconds_of([subject]))
-        for name, subject in SUBJECTS.items()
+        (name, each.title, each.origin, len(runs_of([each])), cpu_seconds_of([each]))
+        for name, each in EXPERIMENTS.items()
     ]
     if as_json:
         names = ("name", "title", "origin", "runs", "cpu_seconds")
@@ -147,4 +147,4 @@ def _document(section: Section) -> dict[str, Any]:
     import io
 
     numbers = list(csv.DictReader(io.StringIO(section.csv)))
-    return {"title": section.title, "verdict": list(section.verdict), "numbers": numbers}
+    return {"title": section.title, "verdict": list(section.findings), "numbers": numbers}

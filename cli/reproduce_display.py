@@ -14,10 +14,10 @@ from rich.text import Text
 
 from chamfer_morph.cli.progress_display import ProgressDisplay
 from chamfer_morph.cli.tables import PIPED_WIDTH, clock
-from chamfer_morph.reproduction.execution import Progress as RunProgress
-from chamfer_morph.reproduction.run import Run
-from chamfer_morph.reproduction.section import Grid, Section
-from chamfer_morph.reproduction.store import Record
+from chamfer_morph.reproduction.report.section import DisplayTable, Section
+from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.runner import Progress as RunProgress
+from chamfer_morph.reproduction.runs.store import Record
 
 SETTLED_SHARE = 0.02
 """From here on the time left follows from what has been measured, not from the estimate."""
@@ -91,13 +91,13 @@ def print_section(section: Section) -> None:
     width = None if sys.stdout.isatty() else PIPED_WIDTH
     console = Console(highlight=False, width=width)
     console.print(Text(f"\n{section.title} ({section.origin})", style="bold"))
-    if section.grid:
-        console.print(_table(section.grid))
-    for sentence in section.verdict:
+    if section.table:
+        console.print(_table(section.table))
+    for sentence in section.findings:
         console.print(Text(sentence))
 
 
-def _table(grid: Grid) -> Table:
+def _table(grid: DisplayTable) -> Table:
     """A line per number: printed, published program, ours, difference."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("row", overflow="fold")

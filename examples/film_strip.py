@@ -11,12 +11,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
+from PIL import Image
 
-from chamfer_morph.reproduction.particles import film_strip
-from morph_engine.rendering.pictures import height_colors, look
+from morph_engine.rendering.pictures import (
+    PARTICLE_RADIUS_OVER_H,
+    Camera,
+    height_colors,
+    look,
+    picture,
+)
 from morph_engine.results.trajectory import Trajectory
+
+PANEL_PIXELS = 420
+HALF_EXTENT = 12.0
+"""What a panel shows, from its centre to its edge [dx]."""
 
 
 def main() -> None:
@@ -38,10 +47,18 @@ def main() -> None:
     colors = height_colors(source, view)
     spacing = (np.prod(np.ptp(target, axis=0)) / len(target)) ** (1 / 3)
     centre = (target.min(axis=0) + target.max(axis=0)) / 2
-    clouds = [cloud - centre for cloud in (source, *frames)]
-    image = film_strip(clouds, colors, radius=0.55 * spacing, view=view)
+    panels = [
+        picture(
+            cloud - centre,
+            spacing=0.55 * spacing / PARTICLE_RADIUS_OVER_H,
+            colors=colors,
+            view=Camera(view, np.zeros(3), HALF_EXTENT),
+            size=(PANEL_PIXELS, PANEL_PIXELS),
+        )
+        for cloud in (source, *frames)
+    ]
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
-    matplotlib.image.imsave(arguments.picture, image)
+    Image.fromarray(np.hstack(panels)).save(arguments.picture)
 
 
 if __name__ == "__main__":

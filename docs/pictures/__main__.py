@@ -14,10 +14,10 @@ from pathlib import Path
 
 from docs.pictures.morphs import morph_pictures
 from docs.pictures.page import page_pictures
-from docs.pictures.studies import study_pictures
+from docs.pictures.theory import theory_pictures
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
-WHAT = ("page", "morphs", "studies")
+GROUPS = ("page", "morphs", "theory")
 
 
 def main() -> None:
@@ -27,18 +27,18 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("what", nargs="*", help=f"of {', '.join(WHAT)}; all if none is named")
+    parser.add_argument("groups", nargs="*", help=f"of {', '.join(GROUPS)}; all if none is named")
     parser.add_argument("--meshes", type=Path, help="folder with sphere.obj and bunny.obj")
     parser.add_argument("--to", type=Path, default=IMAGES, help="folder of the pictures")
     arguments = parser.parse_args()
-    wanted = arguments.what or WHAT
-    if unknown := set(wanted) - set(WHAT):
+    wanted = arguments.groups or GROUPS
+    if unknown := set(wanted) - set(GROUPS):
         parser.error(f"There are no pictures called {', '.join(sorted(unknown))}.")
     if "morphs" in wanted and arguments.meshes is None:
         parser.error("The pictures of morphs need --meshes, a folder with the paper's meshes.")
     arguments.to.mkdir(parents=True, exist_ok=True)
-    if "studies" in wanted:
-        study_pictures(arguments.to)
+    if "theory" in wanted:
+        theory_pictures(arguments.to)
     if "morphs" in wanted:
         morph_pictures(arguments.to, arguments.meshes)
     if "page" in wanted:

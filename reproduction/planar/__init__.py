@@ -27,6 +27,11 @@ What the result says:
   and 1.62. In this experiment global coupling is not what it takes to avoid collapse.
 """
 
+from chamfer_morph.reproduction.planar.config import (
+    PlanarConfig,
+    converged_setting,
+    paper_setting,
+)
 from chamfer_morph.reproduction.planar.experiment import (
     PRINTED,
     Experiment,
@@ -38,12 +43,7 @@ from chamfer_morph.reproduction.planar.experiment import (
     run,
     run_all,
 )
-from chamfer_morph.reproduction.planar.picture import figure
-from chamfer_morph.reproduction.planar.settings import (
-    PlanarConfig,
-    converged_setting,
-    paper_setting,
-)
+from chamfer_morph.reproduction.planar.figure import figure
 
 __all__ = [
     "PRINTED",

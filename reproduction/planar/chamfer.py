@@ -27,13 +27,13 @@ class ChamferLoss:
         forward: w_f, weight of source -> target.
         reverse: w_r, weight of target -> source.
         squared: Whether d is the squared distance.
-        normalisation: Divide each sum by its number of points, or not at all.
+        normalization: Divide each sum by its number of points, or not at all.
     """
 
     forward: float = 1.0
     reverse: float = 1.0
     squared: bool = True
-    normalisation: Literal["mean", "sum"] = "mean"
+    normalization: Literal["mean", "sum"] = "mean"
 
     def __call__(self, source: Points, target: Points) -> tuple[float, Points]:
         """Loss and its gradient with respect to the source.
@@ -46,7 +46,7 @@ class ChamferLoss:
             L and dL/dp, shape [n, d].
         """
         forward, reverse = self.forward, self.reverse
-        if self.normalisation == "mean":
+        if self.normalization == "mean":
             forward, reverse = forward / len(source), reverse / len(target)
         gradient = np.zeros_like(source)
 

@@ -10,18 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
-from chamfer_morph.reproduction.planar.descent import Descent, clip
-from chamfer_morph.reproduction.planar.fourier import FourierOutline
-from chamfer_morph.reproduction.planar.measures import PlanarMeasures, measure
-from chamfer_morph.reproduction.planar.outlines import circle, circle_angles, even_star, star
-from chamfer_morph.reproduction.planar.repulsion import repulsion
-from chamfer_morph.reproduction.planar.settings import (
+from chamfer_morph.reproduction.planar.config import (
     TUNED_REPULSION,
     PlanarConfig,
     converged_setting,
     paper_setting,
     vector_repulsion_setting,
 )
+from chamfer_morph.reproduction.planar.fourier import FourierOutline
+from chamfer_morph.reproduction.planar.metrics import PlanarMetrics, measure
+from chamfer_morph.reproduction.planar.optimizer import Optimizer, clip
+from chamfer_morph.reproduction.planar.repulsion import repulsion
+from chamfer_morph.reproduction.planar.shapes import circle, circle_angles, even_star, star
 
 Points = npt.NDArray[np.float64]
 Setting = Literal["reference", "paper", "converged"]
@@ -99,14 +99,14 @@ class PlanarRun:
         target: The star, shape [m, 2], float64.
         steps: Steps after which a snapshot was taken, ascending from 0 to the last, shape [s].
         trajectory: Positions at these, shape [s, n, 2], float64.
-        measures: Numbers of the last positions.
+        metrics: Numbers of the last positions.
     """
 
     experiment: Experiment
     target: Points
     steps: npt.NDArray[np.int64]
     trajectory: Points
-    measures: PlanarMeasures
+    metrics: PlanarMetrics
 
     @property
     def points(self) -> Points:
@@ -127,7 +127,7 @@ def run(experiment: Experiment, *, snapshots: int = 31) -> PlanarRun:
     variables, points_of, pull_back = _parameterisation(config)
     kept = np.unique(np.linspace(0, config.steps, snapshots).round().astype(np.int64))
     trajectory = [points_of(variables)]
-    descent = Descent(config)
+    descent = Optimizer(config)
     for step in range(1, config.steps + 1):
         variables = variables - descent(pull_back(_gradient(config, points_of(variables), target)))
         if step in kept:
@@ -180,13 +180,13 @@ def rows(runs: tuple[PlanarRun, ...]) -> tuple[PlanarRow, ...]:
         _row("start", "reference", measure(circle(config), target), 0),
         _row("even_spread", "reference", measure(ideal, target), 0),
         *(
-            _row(each.experiment.name, each.experiment.setting, each.measures, int(each.steps[-1]))
+            _row(each.experiment.name, each.experiment.setting, each.metrics, int(each.steps[-1]))
             for each in runs
         ),
     )
 
 
-def _row(name: str, setting: Setting, numbers: PlanarMeasures, steps: int) -> PlanarRow:
+def _row(name: str, setting: Setting, numbers: PlanarMetrics, steps: int) -> PlanarRow:
     strategy = name.removesuffix("_clipped").removesuffix("_vector")
     printed = PRINTED[strategy] if setting == "paper" else None
     return PlanarRow(name, setting, **vars(numbers), steps=steps, printed=printed)
@@ -208,7 +208,7 @@ def _gradient(config: PlanarConfig, points: Points, target: Points) -> Points:
         config.forward_weight,
         config.reverse_weight,
         squared=config.distance == "squared",
-        normalisation=config.normalisation,
+        normalization=config.normalization,
     )
     gradient = loss(points, target)[1]
     if config.clip_order == "before_repulsion":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from chamfer_morph.reproduction.planar.outlines import directions
+from chamfer_morph.reproduction.planar.shapes import directions
 
 Array = npt.NDArray[np.float64]
 

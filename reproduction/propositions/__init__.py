@@ -10,7 +10,7 @@ from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.collapse import proposition_1
 from chamfer_morph.reproduction.propositions.coupling import corollary_1
 from chamfer_morph.reproduction.propositions.drift import proposition_3
-from chamfer_morph.reproduction.propositions.picture import figure
+from chamfer_morph.reproduction.propositions.figure import figure
 from chamfer_morph.reproduction.propositions.separation import proposition_2
 
 __all__ = [

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
-from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS, cluster
+from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS, cluster
 
 Points = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def proposition_1() -> Check:
     gradient = FORWARD(points, TARGETS)[1]
     curvature = count / 2 * _hessian(points)
     way = descend(points, STEPS)
-    distance = np.linalg.norm(way - CENTRE, axis=-1)
+    distance = np.linalg.norm(way - CENTER, axis=-1)
     return Check(
         name="Proposition 1",
         statement=(
@@ -39,7 +39,7 @@ def proposition_1() -> Check:
         quantities=(
             Quantity(
                 "largest deviation of the gradient from 2/N (p - q*)",
-                float(abs(gradient - 2 / count * (points - CENTRE)).max()),
+                float(abs(gradient - 2 / count * (points - CENTER)).max()),
                 0.0,
                 tolerance=1e-15,
             ),

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
+from chamfer_morph.reproduction.planar.config import PlanarConfig, converged_setting
 from chamfer_morph.reproduction.planar.experiment import Experiment, run
-from chamfer_morph.reproduction.planar.measures import PlanarMeasures
-from chamfer_morph.reproduction.planar.settings import PlanarConfig, converged_setting
+from chamfer_morph.reproduction.planar.metrics import PlanarMetrics
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.drift import drift, penalty_force
 from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere, spread
@@ -174,7 +174,7 @@ def _spread_left(coupling: Coupling) -> float:
     return spread(way[-1]) / spread(way[0])
 
 
-def _planar_ends() -> tuple[PlanarMeasures, PlanarMeasures, PlanarMeasures]:
+def _planar_ends() -> tuple[PlanarMetrics, PlanarMetrics, PlanarMetrics]:
     """Circle to star at rest: independent points, local repulsion, shared coefficients."""
     settings = (
         converged_setting("per_point", steps=1500),
@@ -185,6 +185,6 @@ def _planar_ends() -> tuple[PlanarMeasures, PlanarMeasures, PlanarMeasures]:
     return bare, local, shared
 
 
-def _planar_end(config: PlanarConfig) -> PlanarMeasures:
+def _planar_end(config: PlanarConfig) -> PlanarMetrics:
     small = config.model_copy(update={"point_count": 200, "target_count": 100})
-    return run(Experiment(small.strategy, "converged", small), snapshots=2).measures
+    return run(Experiment(small.strategy, "converged", small), snapshots=2).metrics

@@ -10,16 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
-from chamfer_morph.reproduction.planar.descent import Descent
+from chamfer_morph.reproduction.planar.config import PlanarConfig
+from chamfer_morph.reproduction.planar.optimizer import Optimizer
 from chamfer_morph.reproduction.planar.repulsion import repulsion
-from chamfer_morph.reproduction.planar.settings import PlanarConfig
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.penalties import (
     PENALTIES,
     neighbor_lists,
     repulsion_penalty,
 )
-from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS, cluster, elsewhere
+from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS, cluster, elsewhere
 
 Points = npt.NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def proposition_3() -> Check:
                 "longer do: the weight changes the drift.",
                 Quantity(
                     "centroid's way in 20 steps of Adam, weight 0.001 over weight 0",
-                    adam_way(LIMIT_WEIGHT) / adam_way(0.0),
+                    adam_displacement(LIMIT_WEIGHT) / adam_displacement(0.0),
                     1.0,
                     tolerance=1e-3,
                 ),
@@ -110,7 +110,7 @@ def drift(points: Points, force: Points, *, members: int | None = None) -> float
         1 where the drift is 2 eta / N (centroid - q*), for any eta.
     """
     velocity = force - FORWARD(points, TARGETS)[1]
-    centroid = points[:members].mean(axis=0) - CENTRE
+    centroid = points[:members].mean(axis=0) - CENTER
     step = velocity[:members].mean(axis=0)
     return float(-step @ centroid / (2 / len(points) * centroid @ centroid))
 
@@ -129,10 +129,10 @@ def one_sided_drift(weight: float) -> float:
     return drift(points, weight * repulsion(points, neighbors=NEIGHBORS))
 
 
-def adam_way(weight: float, steps: int = 20) -> float:
+def adam_displacement(weight: float, steps: int = 20) -> float:
     """How far Adam moves the centroid, with repulsion of this weight inside the cluster."""
     points = start = cluster()
-    descent = Descent(PlanarConfig(optimizer="adam", learning_rate=0.002))
+    descent = Optimizer(PlanarConfig(optimizer="adam", learning_rate=0.002))
     for _ in range(steps):
         force = penalty_force("repulsion", points, weight)
         points = points - descent(FORWARD(points, TARGETS)[1] - force)

@@ -12,7 +12,7 @@ TARGETS: Points = np.array(
 )
 """Seven targets; the first one, q*, lies amid the others. Shape [7, 2], float64."""
 
-CENTRE: Points = TARGETS[0]
+CENTER: Points = TARGETS[0]
 """q*, the nearest target of the whole cluster."""
 
 

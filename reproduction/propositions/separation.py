@@ -11,7 +11,7 @@ import numpy.typing as npt
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.collapse import STEPS, descend
-from chamfer_morph.reproduction.propositions.scene import CENTRE, TARGETS
+from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS
 
 Points = npt.NDArray[np.float64]
 
@@ -21,13 +21,13 @@ COUNT = 12
 
 def proposition_2() -> Check:
     """Measure the gradients of k points at one target, and of k points almost there."""
-    collapsed = np.tile(CENTRE, (COUNT, 1))
+    collapsed = np.tile(CENTER, (COUNT, 1))
     reverse = ChamferLoss(forward=0.0)(collapsed, TARGETS)[1]
     both = ChamferLoss()(collapsed, TARGETS)[1]
     rest = descend(collapsed, STEPS, ChamferLoss())[-1]
     moved = np.linalg.norm(reverse, axis=1) > 0
     chosen = int(np.argmax(moved))
-    formula = -2 / len(TARGETS) * (TARGETS - CENTRE).sum(axis=0)
+    formula = -2 / len(TARGETS) * (TARGETS - CENTER).sum(axis=0)
     return Check(
         name="Proposition 2",
         statement=(
@@ -55,7 +55,7 @@ def proposition_2() -> Check:
                 "pull a second one.",
                 Quantity(
                     f"points that have moved after {STEPS} steps of both terms",
-                    float((abs(rest - CENTRE).max(axis=1) > 0.01).sum()),
+                    float((abs(rest - CENTER).max(axis=1) > 0.01).sum()),
                     1.0,
                     "<=",
                 ),
@@ -71,7 +71,7 @@ def proposition_2() -> Check:
                 ),
             ),
             Limit(
-                "Descent then takes them apart, so that collapse is no deadlock for points that "
+                "Optimizer then takes them apart, so that collapse is no deadlock for points that "
                 "come near a target without reaching it, as descent lets them.",
                 Quantity(
                     f"targets used after {STEPS} steps of both terms, from 1e-9 apart",
@@ -89,7 +89,7 @@ def apart(distance: float) -> Points:
     turn = np.arange(COUNT) / COUNT
     angle = 2 * np.pi * turn
     away = distance * (1 + 0.1 * turn[:, None])  # no two equally far, which would be ties
-    points: Points = CENTRE + away * np.column_stack([np.cos(angle), np.sin(angle)])
+    points: Points = CENTER + away * np.column_stack([np.cos(angle), np.sin(angle)])
     return points
 
 

@@ -19,17 +19,17 @@ from chamfer_morph.reproduction.planar import (
     run_all,
 )
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
-from chamfer_morph.reproduction.planar.descent import clip
-from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun
-from chamfer_morph.reproduction.planar.fourier import FourierOutline
-from chamfer_morph.reproduction.planar.measures import measure
-from chamfer_morph.reproduction.planar.outlines import circle, circle_angles, even_star, star
-from chamfer_morph.reproduction.planar.repulsion import repulsion
-from chamfer_morph.reproduction.planar.settings import (
+from chamfer_morph.reproduction.planar.config import (
     PlanarConfig,
     converged_setting,
     paper_setting,
 )
+from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun
+from chamfer_morph.reproduction.planar.fourier import FourierOutline
+from chamfer_morph.reproduction.planar.metrics import measure
+from chamfer_morph.reproduction.planar.optimizer import clip
+from chamfer_morph.reproduction.planar.repulsion import repulsion
+from chamfer_morph.reproduction.planar.shapes import circle, circle_angles, even_star, star
 
 RANDOM = np.random.default_rng(5)
 
@@ -59,11 +59,11 @@ def difference_quotient(function, at, step=1e-6):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("squared", [True, False])
-@pytest.mark.parametrize("normalisation", ["mean", "sum"])
-def test_chamfer_gradient(dimension, squared, normalisation):
+@pytest.mark.parametrize("normalization", ["mean", "sum"])
+def test_chamfer_gradient(dimension, squared, normalization):
     """The gradient is the derivative of the loss wherever no neighbour changes."""
     source, target = RANDOM.normal(size=(12, dimension)), RANDOM.normal(size=(9, dimension))
-    loss = ChamferLoss(0.7, 1.3, squared=squared, normalisation=normalisation)
+    loss = ChamferLoss(0.7, 1.3, squared=squared, normalization=normalization)
     expected = difference_quotient(lambda points: loss(points, target)[0], source)
     # a difference quotient with step 1e-6 is exact to its rounding, 1e-16 / 1e-6 times the loss
     np.testing.assert_allclose(loss(source, target)[1], expected, atol=1e-7)

@@ -2,17 +2,17 @@
 
 import pytest
 
-from chamfer_morph.reproduction.beyond import BEYOND
-from chamfer_morph.reproduction.catalog import SUBJECTS, choose, cpu_seconds_of, runs_of
-from chamfer_morph.reproduction.experiments import EXPERIMENTS, NATIVE, SPHERE
+from chamfer_morph.reproduction.experiments.extensions import EXTENSIONS
+from chamfer_morph.reproduction.experiments.paper_tables import NATIVE, PAPER_TABLES, SPHERE
 from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
-from chamfer_morph.reproduction.printed import CLAIMS, PAPER, PROGRAM
-from chamfer_morph.reproduction.verdicts import _VERDICTS
+from chamfer_morph.reproduction.published.numbers import CLAIMS, PAPER, PROGRAM
+from chamfer_morph.reproduction.registry import EXPERIMENTS, cpu_seconds_of, runs_of, select
+from chamfer_morph.reproduction.report.findings import FINDINGS
 from morph_engine import methods
 from morph_engine.errors import ConfigError, MeshError
 
 ALL_RUNS = [
-    run for experiment in (*EXPERIMENTS.values(), *BEYOND.values()) for run in experiment.runs
+    run for experiment in (*PAPER_TABLES.values(), *EXTENSIONS.values()) for run in experiment.runs
 ]
 
 
@@ -28,10 +28,10 @@ def test_an_id_is_one_run_in_all_tables():
 @pytest.mark.parametrize("table", PAPER)
 def test_every_printed_cell_has_a_row_and_a_column(table):
     """No printed number is left without one of ours."""
-    rows = {row.label: row for row in EXPERIMENTS[table].rows}
+    rows = {row.label: row for row in PAPER_TABLES[table].rows}
     for label, numbers in PAPER[table].items():
         assert rows[label].runs
-        assert set(numbers) <= set(EXPERIMENTS[table].metrics)
+        assert set(numbers) <= set(PAPER_TABLES[table].metrics)
 
 
 def test_numbers_of_the_published_program_belong_to_runs():
@@ -42,7 +42,7 @@ def test_numbers_of_the_published_program_belong_to_runs():
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_run_has_a_valid_configuration(quick):
     """Methods, presets and settings exist, and quick runs are of their own."""
-    for run in runs_of(choose(["all", "trial", *BEYOND], quick=quick)):
+    for run in runs_of(select(["all", "trial", *EXTENSIONS], quick=quick)):
         config = run.config()
         assert config.method == run.method in methods.names()
         assert config.sampling.fit == "none" and config.sampling.lattice == "published"
@@ -87,8 +87,8 @@ def test_the_native_settings_are_those_of_the_published_file():
 
 def test_all_is_affordable():
     """Under four hours on two cores by the stated model, `sphere --quick` under ten minutes."""
-    assert cpu_seconds_of(choose(["all"])) / 2 < 4 * 3600
-    assert cpu_seconds_of(choose(["sphere"], quick=True)) / 2 < 600
+    assert cpu_seconds_of(select(["all"])) / 2 < 4 * 3600
+    assert cpu_seconds_of(select(["sphere"], quick=True)) / 2 < 600
 
 
 def test_quick_runs_have_ids_of_their_own_and_say_so():
@@ -103,15 +103,15 @@ def test_quick_runs_have_ids_of_their_own_and_say_so():
 def test_an_unknown_table_names_a_near_one():
     """A typing error is told what was meant."""
     with pytest.raises(ConfigError, match="'sphere'"):
-        choose(["spehre"])
-    assert [subject.name for subject in choose(["sphere", "sphere"])] == ["sphere"]
-    assert "trial" not in {subject.name for subject in choose(["all"])}
-    assert {"planar", *EXPERIMENTS} <= SUBJECTS.keys()
+        select(["spehre"])
+    assert [experiment.name for experiment in select(["sphere", "sphere"])] == ["sphere"]
+    assert "trial" not in {experiment.name for experiment in select(["all"])}
+    assert {"planar", *PAPER_TABLES} <= EXPERIMENTS.keys()
 
 
-def test_every_experiment_has_a_verdict():
+def test_every_experiment_has_findings():
     """None goes without a sentence on what its numbers show."""
-    assert _VERDICTS.keys() == EXPERIMENTS.keys() | BEYOND.keys()
+    assert FINDINGS.keys() == PAPER_TABLES.keys() | EXTENSIONS.keys()
 
 
 def test_missing_meshes_are_named_with_their_origins(tmp_path):

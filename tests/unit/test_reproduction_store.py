@@ -6,8 +6,8 @@ import math
 import pytest
 
 from chamfer_morph.reproduction.meshes import MeshFolder
-from chamfer_morph.reproduction.run import Run
-from chamfer_morph.reproduction.store import Record, Store
+from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.store import Record, Store
 
 RUN = Run(id="a", source="sphere", target="star", method="joint", points_per_cell_edge=1)
 

@@ -1,4 +1,4 @@
-"""Tables, verdicts and the report, made from given numbers."""
+"""Tables, findings and the report, made from given numbers."""
 
 import csv
 import io
@@ -6,13 +6,19 @@ import re
 
 import pytest
 
-from chamfer_morph.reproduction.experiments import ABLATION, EXPERIMENTS, PAIRS, SCATTER, SPHERE
-from chamfer_morph.reproduction.output import write
-from chamfer_morph.reproduction.printed import PAPER
-from chamfer_morph.reproduction.section import grid_of
-from chamfer_morph.reproduction.store import Record, Store
-from chamfer_morph.reproduction.tables import shown_difference, tabulate
-from chamfer_morph.reproduction.verdicts import verdict
+from chamfer_morph.reproduction.experiments.paper_tables import (
+    ABLATION,
+    PAIRS,
+    PAPER_TABLES,
+    SCATTER,
+    SPHERE,
+)
+from chamfer_morph.reproduction.published.numbers import PAPER
+from chamfer_morph.reproduction.report.findings import findings
+from chamfer_morph.reproduction.report.section import display_table
+from chamfer_morph.reproduction.report.tables import format_difference, tabulate
+from chamfer_morph.reproduction.report.writer import write
+from chamfer_morph.reproduction.runs.store import Record, Store
 
 
 def as_printed(experiment):
@@ -66,35 +72,35 @@ def test_repeats_are_averaged_with_their_spread():
     assert table.ours(row.label, "two_sided") is None and not table.is_complete
 
 
-def test_the_verdict_on_the_printed_numbers_is_the_papers():
+def test_findings_on_the_printed_numbers_are_the_papers():
     """16 of 20 pairs, and those four are not among them."""
-    sentences = " ".join(verdict(tabulate(PAIRS, as_printed(PAIRS))))
+    sentences = " ".join(findings(tabulate(PAIRS, as_printed(PAIRS))))
     assert "better than physics on 16 of 20 pairs; the paper: 16" in sentences
     assert "s→t better on 20 of 20; the paper: 20" in sentences
     assert "not better on Duck → Sphere, Duck → Cow, Cow → Sphere, Teapot → Cow" in sentences
 
 
-def test_the_verdict_follows_our_numbers():
+def test_findings_follow_our_numbers():
     """Other numbers, another sentence."""
     records = as_printed(SPHERE)
     run = SPHERE.rows[1].runs[0]
     records[run.id] = record(run, **{**records[run.id].metrics, "two_sided": 9.0})
-    sentences = verdict(tabulate(SPHERE, records))
+    sentences = findings(tabulate(SPHERE, records))
     assert "two-sided distance on 3 of 4" in sentences[0]
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=EXPERIMENTS)
+@pytest.mark.parametrize("experiment", PAPER_TABLES.values(), ids=PAPER_TABLES)
 def test_a_failed_run_is_shown_with_its_cause_and_the_rest_stands(experiment):
-    """No verdict falls over a missing number, and it says what is missing."""
+    """No finding falls over a missing number, and it says what is missing."""
     records = as_printed(experiment)
     row = experiment.rows[-1]
     failed = row.runs[0]
     records[failed.id] = Record(run=failed, digest="", status="failed", problem="It burst.")
     table = tabulate(experiment, records)
-    _, remark, entries = grid_of(table).rows[-1]
+    _, remark, entries = display_table(table).rows[-1]
     assert remark == "It burst." and "failed" in {entry.text for entry in entries}
-    assert row.label in verdict(table)[-1]
-    verdict(tabulate(experiment, {}))
+    assert row.label in findings(table)[-1]
+    findings(tabulate(experiment, {}))
 
 
 def test_csv_has_every_number_with_its_origin():
@@ -113,13 +119,13 @@ def test_csv_has_every_number_with_its_origin():
 
 
 def test_the_report_has_every_table_and_asks_the_network_for_nothing(tmp_path):
-    """All headings, all row names, verdicts; no address, script or style sheet from elsewhere."""
+    """All headings, all row names, findings; no address, script or style sheet from elsewhere."""
     records = {}
-    for experiment in EXPERIMENTS.values():
+    for experiment in PAPER_TABLES.values():
         records |= as_printed(experiment)
-    output = write(tuple(EXPERIMENTS.values()), records, Store(tmp_path))
+    output = write(tuple(PAPER_TABLES.values()), records, Store(tmp_path))
     html = output.report.read_text(encoding="utf-8")
-    for experiment in EXPERIMENTS.values():
+    for experiment in PAPER_TABLES.values():
         assert f'<section id="{experiment.name}">' in html and f'href="#{experiment.name}"' in html
         assert (tmp_path / "tables" / f"{experiment.name}.csv").exists()
     assert "Sphere → Bunny, joint" in html and "digest-of-sp" in html
@@ -137,7 +143,7 @@ def test_the_report_in_markdown_has_every_number_and_its_figures_beside_it(tmp_p
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     table = [line for line in text.splitlines() if line.startswith("| ")]
     assert len({line.count("|") for line in table[: 2 + len(SPHERE.rows)]}) == 1
-    for name, _, entries in grid_of(tabulate(SPHERE, as_printed(SPHERE))).rows:
+    for name, _, entries in display_table(tabulate(SPHERE, as_printed(SPHERE))).rows:
         row = next(line for line in table if line.startswith(f"| {name} |"))
         cells = [cell.strip(" *") for cell in row.strip("|").split("|")]
         assert cells == [name, *(entry.text for entry in entries)]
@@ -147,6 +153,6 @@ def test_the_report_in_markdown_has_every_number_and_its_figures_beside_it(tmp_p
 
 def test_differences_have_their_sign_and_no_negative_zero():
     """As a reader expects them."""
-    assert [shown_difference(x) for x in (0.0123, -0.0123, -0.0001, None)] == [
+    assert [format_difference(x) for x in (0.0123, -0.0123, -0.0001, None)] == [
         "+0.012", "−0.012", "0.000", "",
     ]  # fmt: skip

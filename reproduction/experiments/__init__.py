@@ -1,0 +1,1 @@
+"""Experiments as data: the tables of the paper, and those that go past it."""

@@ -1,0 +1,1 @@
+"""What has been published: the numbers of the paper and of its program."""

@@ -1,0 +1,1 @@
+"""The report: tables, figures and findings as Markdown, HTML and CSV."""

@@ -1,0 +1,236 @@
+"""Figures made of numbers: curves over frames, scatter of the pairs, printed against ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from chamfer_morph.reproduction.published.numbers import SHAPES, TARGETS
+from chamfer_morph.reproduction.report.tables import Table, TableRow
+from chamfer_morph.reproduction.runs.store import Record
+from morph_engine.metrics.definitions import METRICS
+
+# Okabe and Ito: told apart by readers with any common colour vision
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
+
+COLORS = {
+    "physics": BLUE,
+    "joint": VERMILION,
+    "dco": BLACK,
+    "dcd": ORANGE,
+    "density_aware": PURPLE,
+    "shared_basis": GREEN,
+}
+MARKERS = dict(zip(SHAPES, "osD^v", strict=True))
+NAMES = {
+    "s2t": "s→t",
+    "t2s": "t→s",
+    "two_sided": "two-sided distance",
+    "f1": "F1",
+    "overlap_01": "share closer than 0.01 to another",
+    "overlap_h10": "share closer than h/10 to another",
+}
+
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.hashsalt": "reproduction",
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Within, figures have the house style."""
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def name_of(metric: str) -> str:
+    """A metric for an axis, with its unit where it is a length."""
+    text = NAMES.get(metric, metric)
+    unit = METRICS[metric].unit
+    return f"{text} [{unit}]" if unit in ("dx", "h") else text
+
+
+def convergence(table: Table, metric: str = "s2t") -> Figure:
+    """A metric over frames, a panel per target and a curve per row."""
+    with style():
+        figure = Figure(figsize=(7.2, 5.2), layout="constrained")
+        panels = figure.subplots(2, 2, sharex=True).ravel()
+        for axes, target in zip(panels, TARGETS, strict=True):
+            lines = [line for line in table.lines if line.row.label.startswith(f"{target}, ")]
+            for line in lines:
+                label = line.row.label.partition(", ")[2]
+                _curve(axes, line, metric, label=label)
+            axes.set(title=f"Sphere → {target}", yscale="log")
+            _few_log_ticks(axes)
+        for axes in panels[2:]:
+            axes.set_xlabel("frame")
+        for axes in panels[::2]:
+            axes.set_ylabel(name_of(metric))
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels) or 1))
+    return figure
+
+
+def curves(table: Table, metrics: tuple[str, ...]) -> Figure:
+    """Metrics over frames, a panel each and a curve per row."""
+    with style():
+        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+        panels = figure.subplots(1, len(metrics), squeeze=False)[0]
+        for axes, metric in zip(panels, metrics, strict=True):
+            for line in table.lines:
+                _curve(axes, line, metric, label=line.row.label)
+            axes.set(xlabel="frame", title=name_of(metric))
+            if METRICS[metric].unit == "dx":
+                axes.set_yscale("log")
+                _few_log_ticks(axes)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _curve(axes: Axes, line: TableRow, metric: str, *, label: str) -> None:
+    for record in line.records[:1]:
+        values = record.curves.get(metric)
+        if record.is_complete and values:
+            color, dashes = color_of(record), _dashes(record)
+            taken = {(other.get_color(), other.get_linestyle()) for other in axes.get_lines()}
+            if (color, dashes) in taken:
+                dashes = ":"  # a second plain run of the same method
+            axes.plot(values, label=label, color=color, linestyle=dashes)
+
+
+def color_of(record: Record) -> str:
+    """The colour of a run's method."""
+    return COLORS.get(record.run.method, GREY)
+
+
+def _dashes(record: Record) -> str | tuple[int, tuple[float, ...]]:
+    """What sets variants of one method apart."""
+    run = record.run
+    if run.points_per_cell_edge != 3:
+        return "--"
+    if run.overrides.get("points.epsilon") is not None:
+        return (0, (1, 1)) if run.frames > 40 else "-."
+    return "-" if not run.overrides else (0, (4, 1, 1, 1))
+
+
+def _few_log_ticks(axes: Axes) -> None:
+    low, high = axes.get_ylim()
+    ticks = [value for value in (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5) if low <= value <= high]
+    axes.set_yticks(ticks, [f"{value:g}" for value in ticks])
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def scatter(table: Table) -> Figure:
+    """Physics against joint, a point per pair; the marker tells the source, hollow is printed."""
+    with style():
+        figure = Figure(figsize=(4.8, 4.8), layout="constrained")
+        axes = figure.subplots()
+        values: list[float] = []
+        for source in SHAPES:
+            for origin in ("printed", "ours"):
+                points = _pair_points(table, source, origin)
+                if not points:
+                    continue
+                x, y = np.transpose(points)
+                values += [*x, *y]
+                ours = origin == "ours"
+                axes.scatter(
+                    x,
+                    y,
+                    marker=MARKERS[source],
+                    s=36 if ours else 26,
+                    facecolors=BLUE if ours else "none",
+                    edgecolors="white" if ours else GREY,
+                    linewidths=0.6 if ours else 0.8,
+                    zorder=3 if ours else 2,
+                )
+        if values:
+            low, high = 0.95 * min(values), 1.05 * max(values)
+            axes.plot([low, high], [low, high], color=BLACK, linewidth=0.8, zorder=1)
+            axes.fill_between([low, high], [low, high], low, color=GREEN, alpha=0.08, linewidth=0)
+            axes.text(high, low, "joint is better ", ha="right", va="bottom", color=GREEN)
+            axes.set(xlim=(low, high), ylim=(low, high))
+        for source in SHAPES:
+            axes.scatter([], [], marker=MARKERS[source], color=BLUE, label=f"from {source}")
+        axes.scatter([], [], marker="o", facecolors="none", edgecolors=GREY, label="printed")
+        axes.set(
+            xlabel="physics, two-sided distance [dx]",
+            ylabel="joint, two-sided distance [dx]",
+            aspect="equal",
+        )
+        axes.legend(loc="upper left")
+    return figure
+
+
+def _pair_points(table: Table, source: str, origin: str) -> list[tuple[float, float]]:
+    points = []
+    for target in SHAPES:
+        cells = [
+            table.cell(f"{source} → {target}, {method}", "two_sided")
+            for method in ("physics", "joint")
+        ]
+        x, y = (cell.printed if origin == "printed" else cell.ours for cell in cells)
+        if x is not None and y is not None:
+            points.append((x, y))
+    return points
+
+
+def printed_against_ours(table: Table, metric: str = "two_sided") -> Figure:
+    """Each row's printed number, the published program's and ours, with the spread of repeats."""
+    lines = [line for line in table.lines if line.cells[metric].ours is not None]
+    with style():
+        figure = Figure(figsize=(7.2, 0.9 + 0.27 * max(3, len(lines))), layout="constrained")
+        axes = figure.subplots()
+        for place, line in enumerate(lines):
+            cell = line.cells[metric]
+            assert cell.ours is not None
+            if cell.printed is not None:
+                axes.plot(cell.printed, place, "o", mfc="white", mec=BLACK, ms=7, mew=1.1)
+            if cell.program is not None:
+                axes.plot(cell.program, place, "D", mfc="none", mec=GREEN, ms=6, mew=1.3)
+            axes.errorbar(
+                [cell.ours],
+                [place],
+                xerr=None if cell.deviation is None else [cell.deviation],
+                fmt="o",
+                color=color_of(line.records[0]),
+                ms=4,
+                capsize=3,
+                elinewidth=1.2,
+            )
+        axes.set_yticks(range(len(lines)), [line.row.label for line in lines])
+        axes.set_ylim(len(lines) - 0.5, -0.5)
+        axes.set_xlabel(name_of(metric))
+        axes.grid(axis="y", visible=False)
+        if any(line.cells[metric].printed is not None for line in lines):
+            axes.plot([], [], "o", mfc="white", mec=BLACK, ms=7, label="printed")
+        if any(line.cells[metric].program is not None for line in lines):
+            axes.plot([], [], "D", mfc="none", mec=GREEN, ms=6, label="published program")
+        axes.plot([], [], "o", color=GREY, ms=4, label="ours, coloured by method")
+        figure.legend(loc="outside upper right", ncols=3)
+    return figure

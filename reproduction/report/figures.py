@@ -1,0 +1,311 @@
+"""Which figures belong to which experiment, and their files."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from PIL import Image
+
+from chamfer_morph.reproduction.published.numbers import TARGETS
+from chamfer_morph.reproduction.report import charts
+from chamfer_morph.reproduction.report.particle_images import (
+    PointCloud,
+    cross_sections,
+    densities,
+    final_cloud,
+    gallery,
+    source_cloud,
+    target_cloud,
+)
+from chamfer_morph.reproduction.report.tables import Table
+from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.store import Store
+from morph_engine.errors import ResultError
+from morph_engine.files import replacing
+
+DOTS_PER_INCH = 200
+
+DrawFunction = Callable[[Table, Store], Figure]
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure of the report.
+
+    Attributes:
+        name: Stem of its files.
+        caption: What it shows.
+        png: The image; empty if it could not be drawn.
+        problem: Why not.
+    """
+
+    name: str
+    caption: str
+    png: bytes = b""
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class FigureSpec:
+    """A figure that an experiment has."""
+
+    name: str
+    caption: str
+    draw: DrawFunction
+
+
+def draw_all(table: Table, store: Store, folder: Path) -> tuple[ReportFigure, ...]:
+    """DrawFunction the figures of an experiment into a folder, as PNG and SVG.
+
+    A figure whose data are absent is left out and says what it lacks.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    return tuple(
+        _drawn(spec, table, store, folder) for spec in FIGURES.get(table.experiment.name, ())
+    )
+
+
+def _drawn(spec: FigureSpec, table: Table, store: Store, folder: Path) -> ReportFigure:
+    name = f"{table.experiment.name}-{spec.name}"
+    try:
+        figure = spec.draw(table, store)
+    except ResultError as error:
+        why = str(error).replace(f"{store.folder}{os.sep}", "")
+        return ReportFigure(name, spec.caption, problem=f"This figure is missing: {why}")
+    return ReportFigure(name, spec.caption, png=save(figure, folder / name))
+
+
+def save(figure: Figure, path: Path) -> bytes:
+    """Write a figure as path.png and path.svg; the bytes of the first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    images = {}
+    with charts.style():
+        for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+            image = io.BytesIO()
+            figure.savefig(image, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
+            images[kind] = _few_colours(image) if kind == "png" else image.getvalue()
+            with replacing(path.with_name(f"{path.name}.{kind}")) as temporary:
+                temporary.write_bytes(images[kind])
+    return images["png"]
+
+
+def _few_colours(png: io.BytesIO) -> bytes:
+    """A picture in 256 colours, which takes a third of the space."""
+    smaller = io.BytesIO()
+    picture = Image.open(png).convert("RGB")
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        smaller, "png", optimize=True
+    )
+    return smaller.getvalue()
+
+
+def _run(table: Table, label: str) -> Run:
+    """The run of a row, if it has a result.
+
+    Raises:
+        ResultError: It has none.
+    """
+    for line in table.lines:
+        if line.row.label == label and line.records and line.records[0].is_complete:
+            return line.row.runs[0]
+    raise ResultError(f"{label} has no result.", "Repeat the command to compute it.")
+
+
+def _clouds(
+    table: Table, store: Store, labels: Iterable[str], titles: Iterable[str]
+) -> list[PointCloud]:
+    runs = [_run(table, label) for label in labels]
+    target = target_cloud(store, runs[-1])
+    return [
+        target,
+        *(final_cloud(store, run, title) for run, title in zip(runs, titles, strict=True)),
+    ]
+
+
+def _dots(metric: str = "two_sided") -> DrawFunction:
+    return lambda table, store: charts.printed_against_ours(table, metric)
+
+
+def _curves(*metrics: str) -> DrawFunction:
+    return lambda table, store: charts.curves(table, metrics)
+
+
+def _scatter(table: Table, store: Store) -> Figure:
+    return charts.scatter(table)
+
+
+def _finals(labels: Sequence[str], titles: Sequence[str]) -> DrawFunction:
+    """A row of final shapes per target of the paper; labels have {} for the target."""
+    return lambda table, store: gallery(
+        [
+            (target, _clouds(table, store, [label.format(target) for label in labels], titles))
+            for target in TARGETS
+        ]
+    )
+
+
+def _dragons(table: Table, store: Store) -> Figure:
+    coarse = ["DCO, 3 per edge", "DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
+    fine = ["DCO, 4 per edge", "Physics, 4 per edge", "Joint, 4 per edge, native settings"]
+    titles = ["DCO", "DCD", "physics", "joint"]
+    below = _clouds(table, store, fine, ["DCO", "physics", "joint"])
+    return gallery(
+        [
+            ("3 per edge", _clouds(table, store, coarse, titles)),
+            ("4 per edge", [*below[:2], None, *below[2:]]),
+        ]
+    )
+
+
+def _strips(frames: Sequence[int]) -> DrawFunction:
+    """A film strip per row of the table: target, source, frames; -1 is the last."""
+
+    def draw(table: Table, store: Store) -> Figure:
+        rows = []
+        for line in table.lines:
+            run = _run(table, line.row.label)
+            last = line.records[0].frames - 1
+            chosen = [last if frame < 0 else min(frame, last) for frame in frames]
+            clouds = [final_cloud(store, run, f"frame {frame}", frame=frame) for frame in chosen]
+            opening = [target_cloud(store, run), source_cloud(store, run)]
+            rows.append((line.row.label, [*opening, *clouds]))
+        return gallery(rows)
+
+    return draw
+
+
+def _sections(labels: Sequence[str]) -> DrawFunction:
+    return lambda table, store: cross_sections(_clouds(table, store, labels, labels))
+
+
+def _densities(labels: Sequence[str], titles: Sequence[str] = ()) -> DrawFunction:
+    def draw(table: Table, store: Store) -> Figure:
+        target, *clouds = _clouds(table, store, labels, titles or labels)
+        return densities(clouds, target)
+
+    return draw
+
+
+_NUMBERS = "Printed numbers (hollow), the published program's (diamonds) and ours (filled)."
+
+_PARTS = ("all of it", "places drawn at random", "without correction", "without the grid")
+
+FIGURES: dict[str, tuple[FigureSpec, ...]] = {
+    "regularisers": (
+        FigureSpec("numbers", _NUMBERS, _dots()),
+        FigureSpec(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["DCO", "DCO + repulsion 0.1", "DCD", "DCD, inverse weights",
+                 "Density-aware (Wu et al.)", "Shared basis", "Physics"]
+            ),
+        ),
+    ),
+    "shapes": (
+        FigureSpec(
+            "finals",
+            "Final particles, coloured by their height in the sphere. DCO and DCD at 4 points per "
+            "edge, physics and joint at 3, as in the paper.",
+            _finals(
+                ["{}, DCO", "{}, DCD", "{}, Physics, 3 per edge", "{}, Joint, 3 per edge"],
+                ["DCO", "DCD", "physics", "joint"],
+            ),
+        ),
+        FigureSpec("numbers", _NUMBERS, _dots()),
+    ),
+    "sphere": (
+        FigureSpec(
+            "finals",
+            "Final particles, coloured by their height in the sphere.",
+            _finals(["{}, physics", "{}, joint"], ["physics", "joint"]),
+        ),
+        FigureSpec("numbers", _NUMBERS, _dots()),
+        FigureSpec(
+            "frames",
+            "Two-sided distance over frames.",
+            lambda table, store: charts.convergence(table, "two_sided"),
+        ),
+    ),
+    "pairs": (),
+    "scatter": (
+        FigureSpec("pairs", "Each pair: ours filled, printed hollow.", _scatter),
+    ),
+    "dragon": (
+        FigureSpec("finals", "Final particles, coloured by their height in the sphere.", _dragons),
+        FigureSpec("numbers", f"{_NUMBERS} Divided by h in the table.", _dots()),
+    ),
+    "ablation": (
+        FigureSpec("numbers", f"{_NUMBERS} Bars: one standard deviation over seeds.", _dots()),
+    ),
+    "chance": (),
+    "overlap": (
+        FigureSpec(
+            "sections",
+            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
+            _sections(
+                ["DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
+            ),
+        ),
+        FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),
+        FigureSpec("frames", "Overlap over frames.", _curves("overlap_01", "overlap_h10")),
+    ),
+    "convergence": (
+        FigureSpec("frames", "s→t over frames, as computed.", lambda t, s: charts.convergence(t)),
+    ),
+    "teaser": (FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),),
+    "fairness": (
+        FigureSpec(
+            "frames",
+            "Distance and overlap over frames at equal resolution.",
+            _curves("two_sided", "overlap_01"),
+        ),
+        FigureSpec(
+            "sections",
+            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
+            _sections(
+                ["DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"]
+            ),
+        ),
+        FigureSpec(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["DCO", "DCO, converged", "DCD, converged", "Density-aware (Wu et al.), converged",
+                 "Shared basis, converged", "Physics", "Joint", "Joint, preset fast"]
+            ),
+        ),
+    ),
+    "ingredients": (
+        FigureSpec(
+            "densities",
+            "Cow → Duck: how evenly the final particles fill the Duck, in a slice through its "
+            "middle.",
+            _densities(
+                [f"Cow → Duck: {part}" for part in _PARTS], [part.capitalize() for part in _PARTS]
+            ),
+        ),
+    ),
+    "objectives": (
+        FigureSpec(
+            "densities",
+            "How evenly the final particles fill the Bunny, in a slice through its middle.",
+            _densities(
+                ["Chamfer (DCO), converged", "Density-aware Chamfer, converged",
+                 "Sliced Wasserstein, 3600 steps", "Sinkhorn divergence, 1800 steps", "Transport"],
+                ["Chamfer", "Density-aware", "Sliced Wasserstein", "Sinkhorn", "Transport"],
+            ),
+        ),
+    ),
+    "trial": (
+        FigureSpec("frames", "Distance over frames.", _curves("two_sided", "s2t")),
+        FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),
+    ),
+}  # fmt: skip

@@ -1,0 +1,123 @@
+"""The executable propositions as a section of the report."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+
+from chamfer_morph.reproduction.propositions import Check, Quantity, all_checks, figure
+from chamfer_morph.reproduction.report.figures import ReportFigure, save
+from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Section
+from chamfer_morph.reproduction.report.tables import VERSION
+
+HOLDS, FAILS = "holds", "fails"
+LIMIT, NO_LIMIT = "does not apply", "applies nevertheless"
+
+
+def propositions_section(name: str, title: str, origin: str, figures: Path) -> Section:
+    """Put the propositions to the test and lay out what was measured.
+
+    Args:
+        name: Of the section.
+        title: Its heading.
+        origin: Where it stands in the paper.
+        figures: Folder of the figures.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    checks = all_checks()
+    return Section(
+        name=name,
+        title=title,
+        origin=origin,
+        findings=tuple(findings(checks)),
+        remarks=(
+            "Rows that begin with Beyond are cases that a proposition does not cover: measured "
+            "against what it would say, were it applied.",
+        ),
+        table=DisplayTable(
+            headings=(("", 3),),
+            columns=("measured", "should be", "verdict"),
+            rows=tuple(_rows(checks)),
+        ),
+        csv=_csv(checks),
+        figures=(
+            ReportFigure(
+                f"{name}-limits",
+                "The statements and their limits on small scenes.",
+                save(figure(), figures / f"{name}-limits"),
+            ),
+        ),
+    )
+
+
+def findings(checks: Sequence[Check]) -> list[str]:
+    """Which propositions hold within their assumptions, and how many limits are real ones."""
+    holding = [check.name for check in checks if check.holds]
+    failing = [check.name for check in checks if not check.holds]
+    limits = [limit for check in checks for limit in check.limits]
+    real = sum(limit.is_counterexample for limit in limits)
+    return [
+        f"Within their assumptions hold: {', '.join(holding) or 'none'}."
+        + (f" Not: {', '.join(failing)}." if failing else ""),
+        f"{real} of {len(limits)} cases beyond the assumptions come out otherwise than the "
+        "proposition would say, so the assumptions matter.",
+    ]
+
+
+def _rows(checks: Sequence[Check]) -> Iterator[tuple[str, str, tuple[DisplayCell, ...]]]:
+    for check in checks:
+        for quantity in check.quantities:
+            word = HOLDS if quantity.holds else FAILS
+            yield f"{check.name}: {quantity.name}", "", _entries(quantity, word)
+        for limit in check.limits:
+            word = LIMIT if limit.is_counterexample else NO_LIMIT
+            yield (
+                f"Beyond {check.name}: {limit.case}",
+                limit.prediction.name,
+                _entries(limit.prediction, word),
+            )
+
+
+def _entries(quantity: Quantity, word: str) -> tuple[DisplayCell, ...]:
+    relation = "" if quantity.relation == "=" else {"<=": "≤ ", ">=": "≥ "}[quantity.relation]
+    return (
+        DisplayCell(f"{quantity.measured:.4g}"),
+        DisplayCell(f"{relation}{quantity.expected:.4g}"),
+        DisplayCell(word),
+    )
+
+
+def _csv(checks: Sequence[Check]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ("proposition", "covered", "quantity", "measured", "relation", "expected", "tolerance",
+         "holds", "version")
+    )  # fmt: skip
+    version = metadata.version(VERSION)
+    for check in checks:
+        covered = [(True, quantity.name, quantity) for quantity in check.quantities]
+        beyond = [
+            (False, f"{limit.case} {limit.prediction.name}", limit.prediction)
+            for limit in check.limits
+        ]
+        for is_covered, name, quantity in (*covered, *beyond):
+            writer.writerow(
+                (
+                    check.name,
+                    "yes" if is_covered else "no",
+                    name,
+                    f"{quantity.measured:.7g}",
+                    quantity.relation,
+                    f"{quantity.expected:.7g}",
+                    f"{quantity.tolerance:.7g}",
+                    "yes" if quantity.holds else "no",
+                    version,
+                )
+            )
+    return text.getvalue()

@@ -1,0 +1,206 @@
+"""Numbers side by side: printed in the paper, of the published program, and ours."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from chamfer_morph.reproduction.experiments.experiment import Experiment, Row
+from chamfer_morph.reproduction.published import numbers
+from chamfer_morph.reproduction.runs.store import Record
+from morph_engine.metrics.definitions import METRICS
+
+COLUMNS = (
+    "row", "metric", "printed", "published_program", "ours", "standard_deviation", "repeats",
+    "minus_printed", "minus_program", "best", "run_ids", "config_digests", "version", "problem",
+)  # fmt: skip
+
+VERSION = "chamfer-morph"
+"""The software whose version a number depends on first."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number.
+
+    Attributes:
+        printed: In the paper; None where it has none.
+        program: Of the published program, likewise.
+        ours: Mean over our runs; None if one of them is missing.
+        deviation: Standard deviation over repeats; None without.
+        is_best: Whether ours is the best of its group.
+    """
+
+    printed: float | None
+    program: float | None
+    ours: float | None
+    deviation: float | None = None
+    is_best: bool = False
+
+    @property
+    def minus_printed(self) -> float | None:
+        """Ours - printed."""
+        return _difference(self.ours, self.printed)
+
+    @property
+    def minus_program(self) -> float | None:
+        """Ours - the published program's."""
+        return _difference(self.ours, self.program)
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row with its numbers by metric, and the records they come from."""
+
+    row: Row
+    cells: Mapping[str, Cell]
+    records: tuple[Record, ...]
+
+    @property
+    def problem(self) -> str:
+        """Why a number is missing; empty if none is."""
+        failed = [record.problem for record in self.records if not record.is_complete]
+        if failed:
+            return failed[0]
+        return "" if len(self.records) == len(self.row.runs) else "Not computed."
+
+
+@dataclass(frozen=True)
+class Table:
+    """The numbers of an experiment."""
+
+    experiment: Experiment
+    lines: tuple[TableRow, ...]
+
+    @cached_property
+    def _by_label(self) -> dict[str, TableRow]:
+        return {line.row.label: line for line in self.lines}
+
+    def cell(self, label: str, metric: str) -> Cell:
+        """A number by row and metric; an empty cell if there is none."""
+        line = self._by_label.get(label)
+        empty = Cell(None, None, None)
+        return line.cells.get(metric, empty) if line else empty
+
+    def ours(self, label: str, metric: str) -> float | None:
+        """Our number by row and metric; None if there is none."""
+        return self.cell(label, metric).ours
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every run has come to its end."""
+        return not any(line.problem for line in self.lines)
+
+    def csv(self) -> str:
+        """A line a number, with where it comes from."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for line in self.lines:
+            for metric, cell in line.cells.items():
+                writer.writerow(_csv_row(line, metric, cell))
+        return text.getvalue()
+
+
+def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
+    """Fill the table of an experiment.
+
+    Args:
+        experiment: What is wanted.
+        records: What there is, by run id.
+    """
+    lines = [_line(experiment, row, records) for row in experiment.rows]
+    for metric in experiment.metrics:
+        for group in {row.group for row in experiment.rows}:
+            _mark_best(lines, metric, group)
+    return Table(experiment, tuple(lines))
+
+
+def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> TableRow:
+    found = tuple(records[run.id] for run in row.runs if run.id in records)
+    complete = [record for record in found if record.is_complete]
+    in_paper = numbers.PAPER.get(experiment.name, {}).get(row.label, {})
+    in_program = numbers.PROGRAM.get(row.runs[0].id, {})
+    cells = {}
+    for metric in experiment.metrics:
+        values = [record.metrics[metric] for record in complete if metric in record.metrics]
+        is_whole = len(values) == len(row.runs)
+        cells[metric] = Cell(
+            printed=in_paper.get(metric),
+            program=in_program.get(metric),
+            ours=statistics.fmean(values) if is_whole else None,
+            deviation=statistics.stdev(values) if is_whole and len(values) > 1 else None,
+        )
+    return TableRow(row, cells, found)
+
+
+def _mark_best(lines: list[TableRow], metric: str, group: str) -> None:
+    """Mark the best number of a group, where at least two compete."""
+    competing = {
+        index: value
+        for index, line in enumerate(lines)
+        if line.row.group == group
+        and (value := line.cells[metric].ours) is not None
+        and math.isfinite(value)
+    }
+    if len(competing) < 2:
+        return
+    best = min(distance_from_ideal(metric, value) for value in competing.values())
+    for index, value in competing.items():
+        if distance_from_ideal(metric, value) == best:
+            line = lines[index]
+            cell = replace(line.cells[metric], is_best=True)
+            lines[index] = replace(line, cells={**line.cells, metric: cell})
+
+
+def distance_from_ideal(metric: str, value: float) -> float:
+    """A number that is the smaller the better a metric's value is."""
+    name = metric.removesuffix("_ever")
+    better = METRICS[name].better if name in METRICS else "lower"
+    if better == "one":
+        return abs(math.log(value)) if value > 0 else math.inf
+    return value if better == "lower" else -value
+
+
+def _csv_row(line: TableRow, metric: str, cell: Cell) -> list[object]:
+    numbers = (cell.printed, cell.program, cell.ours, cell.deviation)
+    differences = (cell.minus_printed, cell.minus_program)
+    return [
+        line.row.label,
+        metric,
+        *map(format_exact, numbers),
+        len(line.row.runs),
+        *map(format_exact, differences),
+        "yes" if cell.is_best else "",
+        " ".join(run.id for run in line.row.runs),
+        " ".join(record.digest for record in line.records),
+        " ".join(sorted({record.software.get(VERSION, "") for record in line.records})),
+        line.problem,
+    ]
+
+
+def format_exact(value: float | None) -> str:
+    """A number for a file: seven digits, empty for None."""
+    return "" if value is None else f"{value:.7g}"
+
+
+def format_number(value: float | None) -> str:
+    """A number for a reader: three decimals as the paper prints them, empty for None."""
+    return "" if value is None else f"{value:.3f}"
+
+
+def format_difference(value: float | None) -> str:
+    """A difference for a reader, with its sign."""
+    if value is None:
+        return ""
+    text = f"{value:+.3f}"
+    return text.replace("-", "−") if float(text) else "0.000"
+
+
+def _difference(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else a - b

@@ -1,0 +1,123 @@
+"""One run of the reproduction: what is morphed into what, how, and at which cost."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from chamfer_morph.reproduction.meshes import MeshFolder, particle_count
+from morph_engine.config import MorphConfig
+from morph_engine.presets import configure
+
+CONTROLLED_METHODS = ("physics", "joint")
+"""Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`
+needs none, and for methods that move points alone every preset has the same settings."""
+
+_OF_POINTS = ("points", "regularisers", "density", "basis")
+_OF_CONTROL = ("smoothing", "adjoint", "grid_loss", "chamfer")
+_OF_MATTER = ("material", "time")
+"""Sections of the configuration that only methods of that kind read."""
+
+_OF_ONE = {"transport": "transport", "swd": "sliced", "sinkhorn": "entropy"}
+"""Sections that a single method reads."""
+
+CPU_SECONDS_AT_START = 10.0
+CPU_SECONDS_PER_PARTICLE_FRAME = {
+    "joint": 120e-6,
+    "physics": 73e-6,
+    "regularised": 30e-6,
+    "shared_basis": 25e-6,
+    "transport": 9e-6,
+    "swd": 165e-6,
+    "sinkhorn": 230e-6,
+}
+CPU_SECONDS_PER_POINT_FRAME = 15e-6
+QUICK_SHARE = 0.4
+"""Cost of the preset `fast` in parts of the preset `published`."""
+
+
+class Run(BaseModel):
+    """One run. Equal ids are equal runs, whichever tables they serve.
+
+    A name that ends with .obj is a file in the folder of meshes, any other a built-in shape.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    id: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]*$", max_length=100)
+    source: str
+    target: str
+    method: str
+    preset: str = "published"
+    frames: int = Field(40, ge=1)
+    seed: int = 42
+    points_per_cell_edge: int = Field(3, ge=1, le=8)
+    overrides: dict[str, Any] = Field(default_factory=dict, description="Settings by dotted path.")
+
+    @property
+    def shapes(self) -> tuple[str, str]:
+        """Names of source and target."""
+        return self.source, self.target
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What is replaced in the preset, by dotted path."""
+        return {
+            "method": self.method,
+            "frames": self.frames,
+            "seed": self.seed,
+            "sampling.points_per_cell_edge": self.points_per_cell_edge,
+            **self.overrides,
+        }
+
+    def config(self) -> MorphConfig:
+        """The resolved configuration.
+
+        Raises:
+            ConfigError: There is no such preset or setting, or a value is out of range.
+        """
+        return configure(self.preset, self.settings)
+
+    def digest(self, meshes: MeshFolder) -> str:
+        """SHA-256 of everything that determines the result: configuration and both shapes.
+
+        Sections that the method does not read are left out, and so is the preset's name.
+
+        Raises:
+            MorphError: A mesh is missing, or as `config`.
+        """
+        inputs = {
+            "config": self.config().model_dump(mode="json", exclude={"preset", *self._unread}),
+            "shapes": [meshes.digest(name) for name in self.shapes],
+        }
+        return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def _unread(self) -> tuple[str, ...]:
+        """Sections of the configuration that the method does not read."""
+        of_others = tuple(section for name, section in _OF_ONE.items() if name != self.method)
+        if self.method == "transport":
+            return (*of_others, *_OF_POINTS, *_OF_CONTROL)
+        if self.method in CONTROLLED_METHODS:
+            return (*of_others, *_OF_POINTS)
+        return (*of_others, *_OF_MATTER, *_OF_CONTROL)
+
+    def quick(self) -> Run:
+        """The same with the preset `fast`, where that changes anything."""
+        if self.method not in CONTROLLED_METHODS or self.preset != "published":
+            return self
+        return self.model_copy(update={"id": f"{self.id}-quick", "preset": "fast"})
+
+    @property
+    def expected_cpu_seconds(self) -> float:
+        """What the run costs about [CPU s], by a model linear in particles and frames."""
+        particles = particle_count(self.source) * self.points_per_cell_edge**3 / 27
+        is_regularised = any(path.startswith("regularisers.") for path in self.overrides)
+        rate = CPU_SECONDS_PER_PARTICLE_FRAME.get(
+            "regularised" if is_regularised else self.method, CPU_SECONDS_PER_POINT_FRAME
+        )
+        share = QUICK_SHARE if self.preset == "fast" and self.method in CONTROLLED_METHODS else 1.0
+        return CPU_SECONDS_AT_START + share * rate * particles * self.frames

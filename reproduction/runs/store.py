@@ -1,0 +1,195 @@
+"""Finished runs on the disk: one JSON file each, beside the result file it was taken from.
+
+A record is found again as long as configuration and meshes are the same. One that is torn, of
+another configuration or of a failed run counts as absent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from chamfer_morph.reproduction.runs.run import Run
+from morph_engine.config import MorphConfig
+from morph_engine.errors import ResultError
+from morph_engine.files import replacing
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_deviation
+from morph_engine.results.run_record import software_versions
+from morph_engine.results.trajectory import Trajectory
+
+CURVES = (
+    "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "overlap_h10", "many_to_one",
+    "targets_used", "loss_physics", "loss_chamfer",
+)  # fmt: skip
+"""Metrics kept for every frame; the result file has all of them."""
+
+EXTREMES: dict[str, Callable[[Iterable[float]], float]] = {
+    "least_gap": min, "det_f_min": min, "det_f_max": max, "max_move": max,
+}  # fmt: skip
+"""Metrics whose worst value over all frames is kept, too, with `_ever` after their name."""
+
+CURVE_DIGITS = 6
+
+
+class Record(BaseModel):
+    """What a run has come to.
+
+    Units are those of `morph_engine.metrics.definitions.METRICS`.
+    """
+
+    model_config = ConfigDict(frozen=True, ser_json_inf_nan="constants")
+
+    run: Run
+    digest: str = Field(description="Of configuration and meshes, see `Run.digest`.")
+    status: Literal["complete", "failed"]
+    problem: str = Field("", description="Why it failed.")
+    config: dict[str, Any] = Field(default_factory=dict, description="Resolved configuration.")
+    meshes: dict[str, str] = Field(default_factory=dict, description="SHA-256 by role.")
+    software: dict[str, str] = Field(default_factory=software_versions)
+    particle_count: int = 0
+    target_count: int = 0
+    frames: int = 0
+    metrics: dict[str, float] = Field(
+        default_factory=dict, description="Of the last frame, and see `EXTREMES`."
+    )
+    curves: dict[str, list[float]] = Field(default_factory=dict)
+    cpu_seconds: float = Field(0.0, description="Of the process that finished it [s].")
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it has numbers."""
+        return self.status == "complete"
+
+
+class Store:
+    """A folder of records and result files.
+
+    Args:
+        folder: The folder, made when first written to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.runs_folder = folder / "runs"
+
+    def record_path(self, run: Run) -> Path:
+        """Where the record of a run lies."""
+        return self.runs_folder / f"{run.id}.json"
+
+    def result_path(self, run: Run) -> Path:
+        """Where its frames lie."""
+        return self.runs_folder / f"{run.id}.vtkhdf"
+
+    def log_path(self, run: Run) -> Path:
+        """Where the process that computed it wrote its messages."""
+        return self.runs_folder / f"{run.id}.log"
+
+    def read(self, run: Run, digest: str) -> Record | None:
+        """The record of a run, complete or failed; None if absent, torn or of another digest."""
+        try:
+            text = self.record_path(run).read_bytes()
+            record = Record.model_validate_json(text)
+        except (OSError, ValidationError):
+            return None
+        return record if record.digest == digest else None
+
+    def find(self, run: Run, digest: str) -> Record | None:
+        """The record of a run that has been completed with this digest."""
+        record = self.read(run, digest)
+        return record if record is not None and record.is_complete else None
+
+    def save(self, record: Record) -> None:
+        """Write a record, as a whole.
+
+        Raises:
+            ResultError: The disk refuses.
+        """
+        path = self.record_path(record.run)
+        try:
+            self.runs_folder.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as temporary:
+                temporary.write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ResultError(
+                f"Cannot write {path} ({error.strerror or error}).",
+                "Free some disk space, or choose another folder with --results.",
+            ) from error
+
+    def save_failure(self, run: Run, digest: str, problem: str) -> Record:
+        """Note that a run failed, and why."""
+        record = Record(run=run, digest=digest, status="failed", problem=problem)
+        self.save(record)
+        return record
+
+    def trajectory(self, run: Run) -> Trajectory:
+        """The result file of a run, open for reading.
+
+        Raises:
+            ResultError: It is absent or damaged.
+        """
+        return Trajectory(self.result_path(run))
+
+
+def _worst(result: Trajectory) -> dict[str, float]:
+    """The worst of a trajectory, by the metrics of `EXTREMES`."""
+    return {
+        f"{name}_ever": float(worst(result.metrics[name]))
+        for name, worst in EXTREMES.items()
+        if name in result.metrics and not np.isnan(result.metrics[name]).any()
+    }
+
+
+def _surface(result: Trajectory) -> dict[str, float]:
+    """How far the surface of the last frame of matter is from the target's, `surface_mean` [dx]."""
+    target = result.run.target
+    if "det_f_min" not in result.metrics or not isinstance(target, Mesh):
+        return {}
+    to_grid = np.linalg.inv(result.transform)
+    vertices = target.vertices @ to_grid[:3, :3].T + to_grid[:3, 3]
+    spacing = MorphConfig.model_validate(result.config).spacing
+    found = reconstruct_surface(result.positions(-1), spacing)
+    return {"surface_mean": surface_deviation(found, replace(target, vertices=vertices))["mean"]}
+
+
+def record_from_result(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:
+    """The record of a finished run, taken from its result file.
+
+    Args:
+        run: What was run.
+        digest: Its digest.
+        result: Its result file.
+        cpu_seconds: What it cost [s].
+
+    Raises:
+        ResultError: The file is damaged.
+    """
+    document = result.run.document()
+    return Record(
+        run=run,
+        digest=digest,
+        status="complete",
+        config=result.config,
+        meshes={role: document[role]["sha256"] for role in ("source", "target")},
+        software=result.software,
+        particle_count=result.particle_count,
+        target_count=len(result.target_points),
+        frames=result.frame_count,
+        metrics=result.metrics_at(-1) | _worst(result) | _surface(result),
+        curves={
+            name: [_short(value) for value in result.metrics[name]]
+            for name in CURVES
+            if name in result.metrics and not np.isnan(result.metrics[name]).all()
+        },
+        cpu_seconds=round(cpu_seconds, 2),
+    )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{CURVE_DIGITS}g}") if math.isfinite(value) else float(value)
