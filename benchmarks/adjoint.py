@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.agreement import require_agreement, require_equal_gradients
-from benchmarks.ours import EngineStep
+from benchmarks.comparison import Row, limit, speedup
+from benchmarks.engine_step import EngineStep
 from benchmarks.peers.taichi_autodiff import AutodiffSweep
-from benchmarks.rows import Row, limit, speedup
 from benchmarks.scene import SEED, ball
-from benchmarks.timing import in_turns
+from benchmarks.timing import interleaved
 
 STEP_COUNT = 2
 
@@ -28,7 +28,7 @@ def backward_to_forward(repeats: int) -> Row:
     scene = ball()
     ours = EngineStep(scene, STEP_COUNT)
     ours.hold(random_pull(scene.particle_count))
-    costs = in_turns(
+    costs = interleaved(
         {"forward": ours.advance, "backward": ours.sweep_back},
         repeats,
         before_each=ours.pull,
@@ -56,17 +56,17 @@ def against_autodiff(repeats: int, *, by_rows: bool = False) -> Row:
 
     ours.hold(gradient)
 
-    def there_and_back() -> None:
+    def forward_and_backward() -> None:
         ours.advance()
         ours.pull()
         ours.sweep_back()
 
-    there_and_back()
+    forward_and_backward()
     peer.advance()
     require_agreement(peer.name, peer.result(), ours.result())
     require_equal_gradients(peer.name, peer.control_gradients(), ours.control_gradients())
 
-    costs = in_turns({"ours": there_and_back, "peer": peer.advance}, repeats)
+    costs = interleaved({"ours": forward_and_backward, "peer": peer.advance}, repeats)
     nanoseconds = {n: 1e9 * c.cpu / scene.particle_count / STEP_COUNT for n, c in costs.items()}
     return speedup(
         "forward + backward vs Taichi autodiff" + (", by rows" if by_rows else ""),

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from importlib import import_module
 
 from benchmarks.agreement import require_agreement
-from benchmarks.ours import EngineStep
+from benchmarks.comparison import Row, skipped, speedup
+from benchmarks.engine_step import EngineStep
 from benchmarks.peers import PeerMissingError, Stepper
 from benchmarks.peers.numpy_step import NumpyStep
-from benchmarks.rows import Row, skipped, speedup
 from benchmarks.scene import ball
-from benchmarks.timing import in_turns
+from benchmarks.timing import interleaved
 
 # what, module and class of the peer, at least, aim
 PEERS = (
@@ -42,7 +42,7 @@ def measure(quick: bool) -> list[Row]:
         stepper.advance()
         require_agreement(name, stepper.result(), reference.result())
 
-    costs = in_turns({name: steps(s) for name, s in steppers.items()}, 3 if quick else 9)
+    costs = interleaved({name: steps(s) for name, s in steppers.items()}, 3 if quick else 9)
     ours = costs[EngineStep.name]
     per_particle = 1e9 / (scene.particle_count * STEP_COUNT)
     return [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import islice
 from statistics import median
 
-from benchmarks.rows import Row, limit
+from benchmarks.comparison import Row, limit
 from morph_engine import configure, morph
 
 Bar = tuple[float | None, float | None]

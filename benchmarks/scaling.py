@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.adjoint import random_pull
-from benchmarks.ours import EngineStep
-from benchmarks.rows import Row, limit
+from benchmarks.comparison import Row, limit
+from benchmarks.engine_step import EngineStep
 from benchmarks.scene import ball
-from benchmarks.timing import in_turns
+from benchmarks.timing import interleaved
 
 POINTS_PER_CELL_EDGE = (2, 3, 4, 5, 6)
 
@@ -23,8 +23,8 @@ def measure(quick: bool) -> list[Row]:
         # steps follow each other as in a run: the same work in every turn, with warm caches
         steps = round(most / scene.particle_count)
         counts[name] = steps * scene.particle_count
-        actions[name] = there_and_back(EngineStep(scene), scene.particle_count, steps)
-    costs = in_turns(actions, 3 if quick else 11)
+        actions[name] = forward_and_backward(EngineStep(scene), scene.particle_count, steps)
+    costs = interleaved(actions, 3 if quick else 11)
     nanoseconds = {name: 1e9 * costs[name].cpu / count for name, count in counts.items()}
     return [
         limit(
@@ -39,7 +39,7 @@ def measure(quick: bool) -> list[Row]:
     ]
 
 
-def there_and_back(engine: EngineStep, particle_count: int, steps: int) -> Callable[[], None]:
+def forward_and_backward(engine: EngineStep, particle_count: int, steps: int) -> Callable[[], None]:
     """Steps forward and back, again and again."""
     engine.hold(random_pull(particle_count))
 

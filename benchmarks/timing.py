@@ -25,7 +25,7 @@ def cost_of(action: Callable[[], object]) -> Cost:
     return Cost(time.process_time() - cpu, time.perf_counter() - wall)
 
 
-def in_turns(
+def interleaved(
     actions: Mapping[str, Callable[[], object]],
     repeats: int,
     *,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from benchmarks.__main__ import machine
 from benchmarks.service import fairness, latency, load
-from benchmarks.service.figures import table
-from benchmarks.service.place import Place
+from benchmarks.service.local_service import LocalService
+from benchmarks.service.measurement import table
 
 GROUPS = {"latency": latency.measure, "fairness": fairness.measure, "load": load.measure}
 
@@ -32,7 +32,7 @@ def main() -> int:
     for group in options.groups or GROUPS:
         sys.stderr.write(f"measuring {group} ...\n")
         with tempfile.TemporaryDirectory(prefix="morph-service-") as folder:
-            figures += GROUPS[group](Place(Path(folder), options.database))
+            figures += GROUPS[group](LocalService(Path(folder), options.database))
     database = "Postgres" if options.database else "SQLite"
     print(f"{machine()}, {database}\n\n{table(figures)}")
     return sum(figure.verdict == "ABOVE" for figure in figures)

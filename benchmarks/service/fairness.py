@@ -14,8 +14,8 @@ from functools import partial
 from itertools import accumulate, groupby, pairwise
 from statistics import median
 
-from benchmarks.service.figures import Figure, counted
-from benchmarks.service.place import Place, body
+from benchmarks.service.local_service import LocalService
+from benchmarks.service.measurement import Measurement, counted
 from chamfer_morph.schemas import JobRequest, JobState
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.submission import configure
@@ -30,9 +30,9 @@ REPEATS = 21
 PATIENCE_SECONDS = 900.0
 
 
-def measure(place: Place) -> list[Figure]:
+def measure(service: LocalService) -> list[Measurement]:
     """Fill the queue, ask it, and let the workers take some jobs."""
-    queue = JobQueue(place.settings)
+    queue = JobQueue(service.settings)
     queue.migrate()
     already = queue.counts()[JobState.SUCCEEDED]
     spec = smallest()
@@ -42,7 +42,7 @@ def measure(place: Place) -> list[Figure]:
         for key in KEYS
         for job in ids[key]
     ]
-    with place.served(WORKERS):
+    with service.served(WORKERS):
         wait_for(queue, lambda counts: counts[JobState.RUNNING] == WORKERS)
         asking = operations(queue, spec, ids[KEYS[1]][-1])
         wait_for(queue, lambda counts: counts[JobState.SUCCEEDED] >= already + TO_FINISH)
@@ -52,8 +52,8 @@ def measure(place: Place) -> list[Figure]:
         queue.cancel(record.id)
     queue.close()
     return [
-        Figure("enqueue, queue filling", 1000 * median(filling), 100, "ms"),
-        *(Figure(f"{name}, 1000 queued", 1000 * t, 100, "ms") for name, t in asking.items()),
+        Measurement("enqueue, queue filling", 1000 * median(filling), 100, "ms"),
+        *(Measurement(f"{name}, 1000 queued", 1000 * t, 100, "ms") for name, t in asking.items()),
         counted("jobs a key is ahead", lead(begun), WORKERS, f"over {len(begun)} starts"),
         counted("two jobs in a slot", overlaps(begun), 0),
         counted("jobs that failed", sum(r.state is JobState.FAILED for r in begun), 0),
@@ -62,7 +62,7 @@ def measure(place: Place) -> list[Figure]:
 
 def smallest() -> JobSpec:
     """The smallest job there is."""
-    request = JobRequest.model_validate(body(frames=1))
+    request = JobRequest.model_validate(job_request(frames=1))
     return JobSpec(
         source=request.source,
         target=request.target,

@@ -14,37 +14,39 @@ from statistics import median
 
 import httpx
 
-from benchmarks.service.figures import Figure
-from benchmarks.service.place import Place, body, show, submit
+from benchmarks.service.local_service import LocalService, job_document, job_request, submit
+from benchmarks.service.measurement import Measurement
 
 JOBS = 15
 FRAMES = 3
 
 
-def measure(place: Place) -> list[Figure]:
+def measure(service: LocalService) -> list[Measurement]:
     """Submit, watch and wait, again and again."""
     starts, lags = [], []
     chance = random.Random(0)
-    with place.served(workers=1) as (api, _):
-        watch(api, submit(api, body(FRAMES)))  # the kernels are compiled once
+    with service.served(workers=1) as (api, _):
+        watch(api, submit(api, job_request(FRAMES)))  # the kernels are compiled once
         for _ in range(JOBS):
             time.sleep(0.5 + chance.random())  # idle, and out of step with the worker's looks
             submitted = time.time()
-            job = submit(api, body(FRAMES))
+            job = submit(api, job_request(FRAMES))
             lags += watch(api, job)
-            shown = show(api, job)
+            shown = job_document(api, job)
             if shown["state"] != "succeeded":
                 raise RuntimeError(f"{job} is {shown['state']}: {shown['problem']}")
             starts.append(seconds(shown["started_at"]) - submitted)
     return [
-        middle("submit to running", starts, 1),
-        middle("event to watcher", lags, 0.5),
+        median_of("submit to running", starts, 1),
+        median_of("event to watcher", lags, 0.5),
     ]
 
 
-def middle(what: str, times: list[float], limit: float) -> Figure:
+def median_of(what: str, times: list[float], limit: float) -> Measurement:
     """The median of some times [s]."""
-    return Figure(what, median(times), limit, "s", f"{len(times)} times, at most {max(times):.2f}")
+    return Measurement(
+        what, median(times), limit, "s", f"{len(times)} times, at most {max(times):.2f}"
+    )
 
 
 def watch(api: httpx.Client, job: str) -> list[float]:

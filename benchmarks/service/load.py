@@ -31,9 +31,9 @@ import httpx
 import psutil
 
 from benchmarks.service.fairness import smallest
-from benchmarks.service.figures import Figure, counted
-from benchmarks.service.place import Place, body, show, submit
-from benchmarks.service.requests_and_watchers import Burst
+from benchmarks.service.load_generator import Burst
+from benchmarks.service.local_service import LocalService, job_document, job_request, submit
+from benchmarks.service.measurement import Measurement, counted
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.queue import JobQueue
@@ -135,22 +135,22 @@ class Seen:
     shares: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
 
-def measure(place: Place) -> list[Figure]:
+def measure(service: LocalService) -> list[Measurement]:
     """Run both rounds and compare."""
     seen, spared = Seen(), Seen()
-    fill_list(place)
-    with place.served(ENGINES) as (api, supervisor):
+    fill_list(service)
+    with service.served(ENGINES) as (api, supervisor):
         for turn in range(ROUNDS):
-            one_round(place, api, supervisor, ENGINES, turn, seen)
+            one_round(service, api, supervisor, ENGINES, turn, seen)
         for turn in range(ROUNDS):
-            one_round(place, api, supervisor, ENGINES - 1, turn, spared)
+            one_round(service, api, supervisor, ENGINES - 1, turn, spared)
     latencies = [1000 * latency for burst in seen.bursts for latency in burst.latencies]
     delays = [1000 * delay for burst in seen.bursts for delay in burst.delays]
     errors = [error for burst in seen.bursts for error in burst.errors]
     events = sum(burst.events for burst in seen.bursts)
     percentiles = quantiles(latencies, n=100)
     return [
-        Figure(
+        Measurement(
             "API, 99th percentile",
             percentiles[98],
             150,
@@ -158,22 +158,22 @@ def measure(place: Place) -> list[Figure]:
             f"{len(latencies)} requests in {len(seen.bursts)} bursts, "
             f"median {percentiles[49]:.0f} ms, {events} events to watchers",
         ),
-        Figure("load sent late, 99th percentile", quantiles(delays, n=100)[98], None, "ms"),
+        Measurement("load sent late, 99th percentile", quantiles(delays, n=100)[98], None, "ms"),
         counted("errors", len(errors), 0, "; ".join(errors[:3])),
         slowed("engine slowed, CPU time", seen, lambda cost: cost.cpu, 10),
         slowed("engine slowed, wall time", seen, lambda cost: cost.wall, None),
         slowed("one job, CPU time", spared, lambda cost: cost.cpu, 10),
         slowed("one job, wall time", spared, lambda cost: cost.wall, 10),
         *(
-            Figure(f"CPU time of {process}", 100 * median(shares), None, "% of a core")
+            Measurement(f"CPU time of {process}", 100 * median(shares), None, "% of a core")
             for process, shares in seen.shares.items()
         ),
     ]
 
 
-def fill_list(place: Place) -> None:
+def fill_list(service: LocalService) -> None:
     """Queue other jobs and cancel them, so that lists are long."""
-    queue = JobQueue(place.settings)
+    queue = JobQueue(service.settings)
     queue.migrate()
     spec = smallest()
     for _ in range(OTHERS):
@@ -184,7 +184,7 @@ def fill_list(place: Place) -> None:
 
 
 def one_round(
-    place: Place,
+    service: LocalService,
     api: httpx.Client,
     supervisor: psutil.Process,
     count: int,
@@ -192,16 +192,16 @@ def one_round(
     seen: Seen,
 ) -> None:
     """Follow some jobs while load comes and goes; adds what was seen."""
-    jobs = [submit(api, body(FRAMES, points_per_cell_edge=2)) for _ in range(count)]
+    jobs = [submit(api, job_request(FRAMES, points_per_cell_edge=2)) for _ in range(count)]
     for job in jobs:
         wait_until(partial(begun, api, job))
-    storage = Storage(place.data_dir)
+    storage = Storage(service.data_dir)
     engines = [Engine(storage.events(job), process_of(supervisor, job)) for job in jobs]
     schedule = Schedule(time.time() + 2, turn)
     asked = {"url": str(api.base_url), "jobs": jobs, "bursts": schedule.bursts()}
-    with (place.data_dir / "load.jsonl").open("w+") as output:
+    with (service.data_dir / "load.jsonl").open("w+") as output:
         load = psutil.Popen(
-            [sys.executable, "-m", "benchmarks.service.requests_and_watchers"],
+            [sys.executable, "-m", "benchmarks.service.load_generator"],
             stdin=subprocess.PIPE,
             stdout=output,  # a pipe that nobody reads would fill up and stop it
             text=True,
@@ -244,7 +244,9 @@ def follow(engines: list[Engine], schedule: Schedule, seen: Seen) -> None:
             seen.costs[schedule.loaded(phase)][number].append(cost)
 
 
-def slowed(what: str, seen: Seen, part: Callable[[Cost], float], limit: float | None) -> Figure:
+def slowed(
+    what: str, seen: Seen, part: Callable[[Cost], float], limit: float | None
+) -> Measurement:
     """By how much frames cost more with load."""
     with_load, without = seen.costs[True], seen.costs[False]
     both = sorted(with_load.keys() & without.keys())
@@ -253,7 +255,7 @@ def slowed(what: str, seen: Seen, part: Callable[[Cost], float], limit: float | 
     ]
     usual = median(part(cost) for frame in both for cost in without[frame])
     note = f"{len(both)} frames of {usual:.2f} s without load"
-    return Figure(what, 100 * (median(ratios) - 1), limit, "%", note)
+    return Measurement(what, 100 * (median(ratios) - 1), limit, "%", note)
 
 
 def process_of(supervisor: psutil.Process, word: str) -> psutil.Process:
@@ -281,12 +283,12 @@ def alive(process: psutil.Process) -> bool:
 
 def begun(api: httpx.Client, job: str) -> bool:
     """Whether a job has a frame."""
-    return bool(show(api, job)["progress"]["frame"])
+    return bool(job_document(api, job)["progress"]["frame"])
 
 
 def finished(api: httpx.Client, job: str) -> bool:
     """Whether a job has all its frames."""
-    return bool(show(api, job)["state"] == "succeeded")
+    return bool(job_document(api, job)["state"] == "succeeded")
 
 
 def wait_until(reached: Callable[[], bool]) -> None:

@@ -1,4 +1,4 @@
-"""Rows on exact nearest neighbours: `python -m benchmarks.bench_neighbors [shape or mesh]`."""
+"""Rows on exact nearest neighbours: `python -m benchmarks.neighbors [shape or mesh]`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from benchmarks.comparison import Row, speedup, table
 from benchmarks.peers.kdtree import KdTreeNeighbors
-from benchmarks.rows import Row, speedup, table
-from benchmarks.timing import in_turns
+from benchmarks.timing import interleaved
 from morph_engine import backend
 from morph_engine.geometry.neighbor_index import NeighborIndex
 from morph_engine.geometry.sampling import sample_lattice
@@ -89,7 +89,7 @@ def _compare(
         "peer query": peer.nearest,
         "peer build + query": lambda: (peer.build(), peer.nearest()),
     }
-    costs = in_turns(actions, QUICK_REPEATS if quick else REPEATS)
+    costs = interleaved(actions, QUICK_REPEATS if quick else REPEATS)
     milliseconds = {name: 1e3 * cost.cpu for name, cost in costs.items()}
     at_least, aim = bar or (None, None)
     note = f"{len(queries)} queries, {len(targets)} targets"

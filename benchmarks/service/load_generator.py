@@ -1,4 +1,4 @@
-"""The load, as a process of its own: `python -m benchmarks.service.requests_and_watchers`.
+"""The load, as a process of its own: `python -m benchmarks.service.load_generator`.
 
 It reads one JSON document from standard input: `url`, `jobs` and `bursts`, each from and to a time
 [s since 1970]. After each burst it prints what that one saw, as a line of JSON.

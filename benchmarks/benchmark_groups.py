@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from benchmarks.rows import Row
+from benchmarks.comparison import Row
 
 MODULES = {
     "forward": "forward",
     "adjoint": "adjoint",
-    "neighbors": "bench_neighbors",
+    "neighbors": "neighbors",
     "frames": "frames",
-    "product": "product",
+    "product": "morph_command",
     "scaling": "scaling",
 }
 

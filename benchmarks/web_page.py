@@ -1,4 +1,4 @@
-"""How soon the page is there and shows a large job: `python -m benchmarks.page`.
+"""How soon the page is there and shows a large job: `python -m benchmarks.web_page`.
 
 Needs chromium and the built page (make page). A job of 89k particles and 40 frames is computed
 first, which takes a minute; then the list of jobs and the job are opened in new browser profiles,

@@ -24,8 +24,8 @@ STOP_SECONDS = 20.0
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a service keeps its things.
+class LocalService:
+    """A service with its folder and database.
 
     Attributes:
         data_dir: A folder of its own.
@@ -101,7 +101,7 @@ def wait_until_ready(api: httpx.Client) -> None:
         time.sleep(0.1)
 
 
-def body(frames: int, points_per_cell_edge: int = 1) -> dict[str, Any]:
+def job_request(frames: int, points_per_cell_edge: int = 1) -> dict[str, Any]:
     """A request for a job on the CPU; 1 point per cell edge makes the smallest."""
     return {
         "method": "joint",
@@ -120,7 +120,7 @@ def submit(api: httpx.Client, request: dict[str, Any]) -> str:
     return str(answer.json()["id"])
 
 
-def show(api: httpx.Client, job: str) -> dict[str, Any]:
+def job_document(api: httpx.Client, job: str) -> dict[str, Any]:
     """A job as it stands."""
     answer = api.get(f"/v1/jobs/{job}")
     answer.raise_for_status()

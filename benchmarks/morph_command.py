@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.rows import Row, limit
+from benchmarks.comparison import Row, limit
 from morph_engine.results.spool import spool_path
 
 GIGABYTE = 1e9

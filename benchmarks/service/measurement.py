@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from benchmarks.rows import number
+from benchmarks.comparison import number
 
 HEADINGS = ("what", "measured", "limit", "unit", "verdict")
 
 
 @dataclass(frozen=True)
-class Figure:
+class Measurement:
     """One line of the table.
 
     Attributes:
@@ -40,12 +40,12 @@ class Figure:
         return "within" if self.value < self.limit or reached else "ABOVE"
 
 
-def counted(what: str, count: int, allowed: int, note: str = "") -> Figure:
+def counted(what: str, count: int, allowed: int, note: str = "") -> Measurement:
     """A number of things, at most so many."""
-    return Figure(what, count, allowed, "", note, inclusive=True)
+    return Measurement(what, count, allowed, "", note, inclusive=True)
 
 
-def table(figures: Sequence[Figure]) -> str:
+def table(figures: Sequence[Measurement]) -> str:
     """Lay the figures out for a terminal, notes below."""
     lines = [HEADINGS] + [
         (f.what, number(f.value), number(f.limit), f.unit, f.verdict) for f in figures

@@ -1,6 +1,6 @@
 """Thousands of requests that schemathesis makes up from the committed contract, on a real service.
 
-    python -m benchmarks.contract [--examples 200] [--database postgresql://...]
+    python -m benchmarks.api_fuzzing [--examples 200] [--database postgresql://...]
 
 No answer may be a 5xx or depart from the contract. The requests carry an admin key, so that none
 of those that make keys can shut the others out; revoking keys is left out for the same reason.
@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.service.place import Place
+from benchmarks.service.local_service import LocalService
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.tables import create
 from chamfer_morph.worker.queue import database
@@ -28,19 +28,19 @@ def main() -> int:
     Returns:
         Exit status of schemathesis.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.contract", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.api_fuzzing", description=__doc__)
     parser.add_argument("--examples", type=int, default=200, help="for each operation and phase")
     parser.add_argument("--database", default="", help="URL of an empty Postgres database")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="morph-contract-") as folder:
-        place = Place(Path(folder), options.database)
-        engine = database(place.settings)
+        service = LocalService(Path(folder), options.database)
+        engine = database(service.settings)
         create(engine)
         made = ApiKeyStore(engine).add("root", ["admin"])
         engine.dispose()
         assert made is not None, "the database is not empty"
-        with place.served(1) as (api, _):
+        with service.served(1) as (api, _):
             return subprocess.run(
                 [
                     Path(sys.executable).with_name("schemathesis"),
