@@ -14,7 +14,7 @@ from functools import partial
 from itertools import accumulate, groupby, pairwise
 from statistics import median
 
-from benchmarks.service.local_service import LocalService
+from benchmarks.service.local_service import LocalService, job_request
 from benchmarks.service.measurement import Measurement, counted
 from chamfer_morph.schemas import JobRequest, JobState
 from chamfer_morph.schemas.ids import new_id
