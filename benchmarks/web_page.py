@@ -19,7 +19,7 @@ import psutil
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
 from benchmarks.__main__ import machine
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
 
 FRAMES = 40

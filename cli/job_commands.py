@@ -40,7 +40,7 @@ from chamfer_morph.cli.options import (
 from morph_engine.errors import MorphError
 
 if TYPE_CHECKING:
-    from chamfer_morph.client.client import MorphClient
+    from chamfer_morph.client import MorphClient
     from chamfer_morph.schemas import Job
 
 app = typer.Typer()

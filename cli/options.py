@@ -10,7 +10,7 @@ import typer
 from morph_engine.device import Device
 
 if TYPE_CHECKING:
-    from chamfer_morph.client.client import MorphClient
+    from chamfer_morph.client import MorphClient
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
 FIT_HELP = "Scale to the usual volume, to touch the domain, or keep the file's coordinates."
@@ -76,6 +76,6 @@ def connect(server: str | None, key: str | None) -> MorphClient:
     Raises:
         ServiceError: The address or the key cannot be one.
     """
-    from chamfer_morph.client.client import MorphClient
+    from chamfer_morph.client import MorphClient
 
     return MorphClient(server, key=key)

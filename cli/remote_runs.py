@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from chamfer_morph.client.errors import ServiceError
 from chamfer_morph.reproduction.meshes import SUFFIX, MeshFolder
 from chamfer_morph.reproduction.runs.run import Run
@@ -54,7 +54,7 @@ def execute_remotely(
         for run in missing:
             if run.id in progress.finished:
                 continue
-            job = jobs[run.id] = client.job(jobs[run.id].id, patient=True)
+            job = jobs[run.id] = client.job(jobs[run.id].id, wait_for_service=True)
             if job.state is JobState.QUEUED:
                 continue
             if job.state.finished:

@@ -10,7 +10,7 @@ from typing import Any
 from chamfer_morph.cli import interrupt
 from chamfer_morph.cli.exit_status import print_json
 from chamfer_morph.cli.progress_display import RunDisplay
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import Event, Job, JobState, Sweep
 
 POLL_SECONDS = 1.0
@@ -29,7 +29,7 @@ def watch_job(client: MorphClient, job: Job, *, quiet: bool, as_json: bool) -> J
         _wait_for_start(client, job, display)
         for event in client.events(job.id):
             _show(event, display)
-    return client.job(job.id, patient=True)
+    return client.job(job.id, wait_for_service=True)
 
 
 def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool, as_json: bool) -> Sweep:
@@ -45,7 +45,7 @@ def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool, as_json: bool
         known = {row.job: row.state for row in sweep.rows if row.state.finished}
         while len(known) < len(sweep.rows):
             time.sleep(POLL_SECONDS)
-            sweep = client.sweep_status(sweep.id, patient=True)
+            sweep = client.sweep_status(sweep.id, wait_for_service=True)
             for row in sweep.rows:
                 if row.state.finished and row.job not in known:
                     known[row.job] = row.state
@@ -79,7 +79,7 @@ def _wait_for_start(client: MorphClient, job: Job, display: RunDisplay) -> None:
             text = f"queued, {before} before it" if before else "queued"
             display.describe(text)
         time.sleep(POLL_SECONDS / 4)
-        job = client.job(job.id, patient=True)
+        job = client.job(job.id, wait_for_service=True)
     display.describe("preparing")
 
 

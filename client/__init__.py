@@ -1,1 +1,5 @@
-"""The service from Python: `MorphClient` blocks, `AsyncMorphClient` awaits."""
+"""The Python client of the service: `MorphClient` blocks, `AsyncMorphClient` awaits."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

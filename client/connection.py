@@ -1,223 +1,143 @@
-"""Calls over HTTP, awaited or blocking, behind one interface.
-
-What a call means is written once, as coroutines over a `Transport`. Over `BlockingTransport` these
-never suspend, so `finish` and `iterate` run them to their end without an event loop.
-"""
+"""Requests to the service, sent again when they fail in passing."""
 
 from __future__ import annotations
 
-import asyncio
-import time
-from collections.abc import AsyncGenerator, AsyncIterator, Coroutine, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from dataclasses import dataclass, field
+import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
+import anyio
 import httpx
-from pydantic import BaseModel
+from pydantic import TypeAdapter, ValidationError
+
+from chamfer_morph.client.errors import ServiceError, unexpected_answer
+from chamfer_morph.client.retry import FEW_ATTEMPTS, MANY_ATTEMPTS, Attempts
 
 T = TypeVar("T")
 
+DEFAULT_SERVER = "http://127.0.0.1:8000"
+DEFAULT_TIMEOUT_SECONDS = 30.0
+
 CHUNK_BYTES = 1 << 18
-UPLOAD_TIMEOUT = httpx.Timeout(30.0, read=180.0)
-"""The service reads a mesh before it answers [s]."""
-
-COMPUTING_TIMEOUT = httpx.Timeout(30.0, read=900.0)
-"""The service computes a surface or fills a shape before it answers, maybe after others [s]."""
 
 
-@dataclass(frozen=True)
-class Call:
-    """One request to the service.
+class FileContent:
+    """The content of a file, in pieces, as often as it is asked for."""
 
-    Attributes:
-        method: HTTP method.
-        path: Path below /v1.
-        query: Parameters; those that are None are left out.
-        body: Sent as JSON.
-        upload: File sent as it is.
-        headers: Further headers.
-        repeatable: Whether it may reach the service twice.
-        timeout: Other than the client's usual one [s].
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        async with await anyio.open_file(self._path, "rb") as file:
+            while chunk := await file.read(CHUNK_BYTES):
+                yield chunk
+
+
+class Connection:
+    """Connections to a service, opened when needed.
+
+    Args:
+        server: Its address; MORPH_SERVER, or else this machine, if None.
+        key: API key; MORPH_KEY, or else no key, if None.
+        timeout_seconds: How long an answer may take [s].
+
+    Raises:
+        ServiceError: The address or the key cannot be one.
     """
 
-    method: str
-    path: str
-    query: Mapping[str, Any] = field(default_factory=dict)
-    body: BaseModel | None = None
-    upload: Path | None = None
-    headers: Mapping[str, str] = field(default_factory=dict)
-    repeatable: bool = False
-    timeout: httpx.Timeout | None = None
+    def __init__(self, server: str | None, key: str | None, timeout_seconds: float) -> None:
+        self.server: str = (server or os.environ.get("MORPH_SERVER") or DEFAULT_SERVER).rstrip("/")
+        secret = key or os.environ.get("MORPH_KEY") or ""
+        if not self.server.startswith(("http://", "https://")):
+            raise ServiceError(
+                f"{self.server} is not the address of a service.",
+                "Write it as http://127.0.0.1:8000.",
+                400,
+            )
+        if not (secret.isascii() and secret.isprintable()):
+            raise ServiceError("The API key has characters that no key has.", "Copy it again.", 401)
+        self._http = httpx.AsyncClient(
+            base_url=f"{self.server}/v1",
+            headers={"Authorization": f"Bearer {secret}"} if secret else {},
+            timeout=timeout_seconds,
+        )
 
-    def arguments(self) -> dict[str, Any]:
-        """All of it but the file, as httpx takes it."""
-        query = {name: value for name, value in self.query.items() if value is not None}
-        headers = dict(self.headers)
-        content = None
-        if self.body is not None:
-            content = self.body.model_dump_json()
-            headers["Content-Type"] = "application/json"
-        elif self.upload is not None:
-            headers["Content-Type"] = "application/octet-stream"
-            headers["Content-Length"] = str(self.upload.stat().st_size)
-        timeout = self.timeout or (UPLOAD_TIMEOUT if self.upload else httpx.USE_CLIENT_DEFAULT)
-        return {
-            "method": self.method,
-            "url": f"/v1{self.path}",
-            "params": query,
-            "content": content,
-            "headers": headers,
-            "timeout": timeout,
-        }
+    async def send(
+        self,
+        method: str,
+        path: str,
+        *,
+        repeatable: bool = False,
+        wait_for_service: bool = False,
+        **options: Any,
+    ) -> httpx.Response:
+        """The answer to a request.
 
-
-@dataclass(frozen=True)
-class Reply:
-    """An answer whose body arrives piece by piece; the body of an error is there already.
-
-    Attributes:
-        response: Status and headers.
-        chunks: The body.
-    """
-
-    response: httpx.Response
-    chunks: AsyncIterator[bytes]
-
-
-class Transport(Protocol):
-    """Sends calls."""
-
-    server: str
-
-    async def send(self, call: Call) -> httpx.Response:
-        """The whole answer.
+        Args:
+            method: HTTP method.
+            path: Path below /v1.
+            repeatable: Whether the request may reach the service twice.
+            wait_for_service: Try for about a minute, not for a few seconds.
+            options: As of httpx.AsyncClient.request.
 
         Raises:
-            httpx.TransportError: There is none.
+            ServiceError: The service refuses or does not answer.
         """
+        limit = MANY_ATTEMPTS if wait_for_service else FEW_ATTEMPTS
+        attempts = Attempts(self.server, limit=limit, repeatable=repeatable)
+        while True:
+            try:
+                response = await self._http.request(method, path, **options)
+            except httpx.TransportError as error:
+                await attempts.pause_after_loss(error)
+                continue
+            if response.is_success:
+                return response
+            await attempts.pause_after_refusal(response)
 
-    def open(self, call: Call) -> AbstractAsyncContextManager[Reply]:
-        """The answer while it arrives; errors as of `send`, at any piece."""
+    async def get(
+        self,
+        path: str,
+        *,
+        wait_for_service: bool = False,
+        timeout: httpx.Timeout | None = None,
+        **query: Any,
+    ) -> httpx.Response:
+        """The answer to GET; parameters of the query that are None are left out."""
+        return await self.send(
+            "GET",
+            path,
+            params={name: value for name, value in query.items() if value is not None},
+            repeatable=True,
+            wait_for_service=wait_for_service,
+            timeout=timeout or httpx.USE_CLIENT_DEFAULT,
+        )
 
-    async def sleep(self, seconds: float) -> None:
-        """Wait."""
+    @asynccontextmanager
+    async def stream(self, path: str, **options: Any) -> AsyncIterator[httpx.Response]:
+        """The answer to GET while it arrives, unchecked; the body of an error is there already.
+
+        Raises:
+            httpx.TransportError: There is none, or it breaks off.
+        """
+        async with self._http.stream("GET", path, **options) as response:
+            if response.is_error:
+                await response.aread()
+            yield response
+
+    def parse(self, type_: type[T], content: str | bytes) -> T:
+        """The body of an answer as what it should be.
+
+        Raises:
+            ServiceError: It is something else.
+        """
+        try:
+            return TypeAdapter(type_).validate_json(content)
+        except ValidationError:
+            raise unexpected_answer(self.server) from None
 
     async def close(self) -> None:
         """Close all connections."""
-
-
-class AsyncTransport:
-    """Awaits, for use in an event loop; options are those of httpx.AsyncClient."""
-
-    def __init__(self, server: str, **options: Any) -> None:
-        self.server = server
-        self._http = httpx.AsyncClient(base_url=server, **options)
-
-    async def send(self, call: Call) -> httpx.Response:
-        """See `Transport`."""
-        return await self._http.request(**self._arguments(call))
-
-    @asynccontextmanager
-    async def open(self, call: Call) -> AsyncIterator[Reply]:
-        """See `Transport`."""
-        async with self._http.stream(**self._arguments(call)) as response:
-            if response.is_error:
-                await response.aread()
-            yield Reply(response, response.aiter_bytes())
-
-    async def sleep(self, seconds: float) -> None:
-        """See `Transport`."""
-        await asyncio.sleep(seconds)
-
-    async def close(self) -> None:
-        """See `Transport`."""
         await self._http.aclose()
-
-    def _arguments(self, call: Call) -> dict[str, Any]:
-        arguments = call.arguments()
-        if call.upload is not None:
-            arguments["content"] = self._file(call.upload)
-        return arguments
-
-    @staticmethod
-    async def _file(path: Path) -> AsyncIterator[bytes]:
-        with path.open("rb") as file:
-            while chunk := await asyncio.to_thread(file.read, CHUNK_BYTES):
-                yield chunk
-
-
-class BlockingTransport:
-    """Blocks the thread; options are those of httpx.Client."""
-
-    def __init__(self, server: str, **options: Any) -> None:
-        self.server = server
-        self._http = httpx.Client(base_url=server, **options)
-
-    async def send(self, call: Call) -> httpx.Response:
-        """See `Transport`."""
-        return self._http.request(**self._arguments(call))
-
-    @asynccontextmanager
-    async def open(self, call: Call) -> AsyncIterator[Reply]:
-        """See `Transport`."""
-        with self._http.stream(**self._arguments(call)) as response:
-            if response.is_error:
-                response.read()
-            yield Reply(response, _awaitable(response.iter_bytes()))
-
-    async def sleep(self, seconds: float) -> None:
-        """See `Transport`."""
-        time.sleep(seconds)
-
-    async def close(self) -> None:
-        """See `Transport`."""
-        self._http.close()
-
-    def _arguments(self, call: Call) -> dict[str, Any]:
-        arguments = call.arguments()
-        if call.upload is not None:
-            arguments["content"] = self._file(call.upload)
-        return arguments
-
-    @staticmethod
-    def _file(path: Path) -> Iterator[bytes]:
-        with path.open("rb") as file:
-            while chunk := file.read(CHUNK_BYTES):
-                yield chunk
-
-
-async def _awaitable(items: Iterator[T]) -> AsyncIterator[T]:
-    for item in items:
-        yield item
-
-
-def finish(coroutine: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine that never suspends."""
-    try:
-        coroutine.send(None)
-    except StopIteration as stop:
-        result: T = stop.value
-        return result
-    raise RuntimeError("a blocking transport does not suspend")
-
-
-def iterate(items: AsyncGenerator[T, None]) -> Iterator[T]:
-    """Iterate over what never suspends."""
-
-    async def step() -> T:
-        return await items.__anext__()
-
-    async def close() -> None:
-        await items.aclose()
-
-    try:
-        while True:
-            try:
-                item = finish(step())
-            except StopAsyncIteration:
-                return
-            yield item
-    finally:
-        finish(close())

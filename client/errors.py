@@ -61,7 +61,7 @@ def unreachable(server: str, error: Exception) -> ServiceError:
     )
 
 
-def strange_answer(server: str) -> ServiceError:
+def unexpected_answer(server: str) -> ServiceError:
     """The error for an answer that is not of this service."""
     return ServiceError(
         f"What answers at {server} is not this version of the morph service.",

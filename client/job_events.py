@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
-from typing import TypeVar
 
 import httpx
-from pydantic import BaseModel, ValidationError
+from anyio import sleep
 
-from chamfer_morph.client.connection import Call, Reply, Transport
-from chamfer_morph.client.errors import strange_answer
+from chamfer_morph.client.connection import Connection
 from chamfer_morph.client.event_stream import EventStream
-from chamfer_morph.client.retry import PATIENT, Attempts
+from chamfer_morph.client.retry import MANY_ATTEMPTS, Attempts
 from chamfer_morph.schemas import Event, EventPage, JobState
-
-Model = TypeVar("Model", bound=BaseModel)
 
 POLL_SECONDS = 1.0
 
 STREAM_TIMEOUT = httpx.Timeout(30.0, read=60.0)
-"""A stream says something every so often, if only a comment [s]."""
+"""A stream sends something every so often, if only a comment [s]."""
 
 _TRY_POLLING = {406, 415, 429, 503}
 
 
-async def follow(transport: Transport, path: str, after: int) -> AsyncGenerator[Event, None]:
+async def follow(connection: Connection, path: str, after: int) -> AsyncGenerator[Event, None]:
     """Events with an id above `after` until the job is finished.
 
     They are streamed; a lost connection is taken up again after the last event. Where streams do
@@ -34,85 +30,58 @@ async def follow(transport: Transport, path: str, after: int) -> AsyncGenerator[
     Raises:
         ServiceError: There is no such job, or the service stays away.
     """
-    for source in (_streamed, _polled):
-        async with aclosing(source(transport, path, after)) as events:
+    for source in (_stream, _poll):
+        async with aclosing(source(connection, path, after)) as events:
             async for event in events:
                 after = event.id
                 yield event
-                if finishes(event):
+                if event.type == "state" and JobState(event.data["state"]).finished:
                     return
 
 
-def finishes(event: Event) -> bool:
-    """Whether nothing comes after this event."""
-    return event.type == "state" and JobState(event.data["state"]).finished
-
-
-async def _streamed(transport: Transport, path: str, after: int) -> AsyncGenerator[Event, None]:
+async def _stream(connection: Connection, path: str, after: int) -> AsyncGenerator[Event, None]:
     """Events from stream after stream; ends where there are no streams to be had."""
-    attempts = Attempts(transport.server, limit=PATIENT)
+    attempts = Attempts(connection.server, limit=MANY_ATTEMPTS)
     while True:
+        headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": str(after)} if after else {})
         silent = True
         try:
-            async with transport.open(_stream_call(path, after)) as reply:
-                if reply.response.status_code in _TRY_POLLING or _is_something_else(reply):
+            async with connection.stream(path, headers=headers, timeout=STREAM_TIMEOUT) as response:
+                if response.status_code in _TRY_POLLING or _is_something_else(response):
                     return
-                if reply.response.is_error:
-                    pause = attempts.pause_after_refusal(reply.response)
-                else:
+                if response.is_success:
                     stream = EventStream()
-                    async for chunk in reply.chunks:
+                    async for chunk in response.aiter_bytes():
                         silent = False
                         attempts.succeeded()
                         for message in stream.feed(chunk):
-                            event = _parsed(transport, Event, message.data)
+                            event = connection.parse(Event, message.data)
                             after = event.id
                             yield event
-                    pause = attempts.pause_after_loss(EOFError("the event stream broke off"))
-        except httpx.ReadTimeout as error:
-            if silent:
+        except httpx.TransportError as error:
+            if silent and isinstance(error, httpx.ReadTimeout):
                 return  # something in between keeps the stream back
-            pause = attempts.pause_after_loss(error)
-        except httpx.TransportError as error:
-            pause = attempts.pause_after_loss(error)
-        await transport.sleep(pause)
-
-
-async def _polled(transport: Transport, path: str, after: int) -> AsyncGenerator[Event, None]:
-    attempts = Attempts(transport.server, limit=PATIENT)
-    while True:
-        try:
-            response = await transport.send(Call("GET", path, {"after": after}))
+            await attempts.pause_after_loss(error)
+        else:
             if response.is_success:
-                attempts.succeeded()
-                page = _parsed(transport, EventPage, response.content)
-                for event in page.items:
-                    yield event
-                if page.state.finished and not page.items:
-                    return
-                after = page.last_id
-                pause = 0.0 if page.items else POLL_SECONDS
+                await attempts.pause_after_loss(EOFError("the event stream broke off"))
             else:
-                pause = attempts.pause_after_refusal(response)
-        except httpx.TransportError as error:
-            pause = attempts.pause_after_loss(error)
-        await transport.sleep(pause)
+                await attempts.pause_after_refusal(response)
 
 
-def _stream_call(path: str, after: int) -> Call:
-    headers = {"Accept": "text/event-stream"}
-    if after:
-        headers["Last-Event-ID"] = str(after)
-    return Call("GET", path, headers=headers, timeout=STREAM_TIMEOUT)
+async def _poll(connection: Connection, path: str, after: int) -> AsyncGenerator[Event, None]:
+    while True:
+        response = await connection.get(path, after=after, wait_for_service=True)
+        page = connection.parse(EventPage, response.content)
+        for event in page.items:
+            yield event
+        if page.state.finished and not page.items:
+            return
+        after = page.last_id
+        if not page.items:
+            await sleep(POLL_SECONDS)
 
 
-def _is_something_else(reply: Reply) -> bool:
-    kind = reply.response.headers.get("content-type", "")
-    return reply.response.is_success and not kind.startswith("text/event-stream")
-
-
-def _parsed(transport: Transport, model: type[Model], text: str | bytes) -> Model:
-    try:
-        return model.model_validate_json(text)
-    except ValidationError:
-        raise strange_answer(transport.server) from None
+def _is_something_else(response: httpx.Response) -> bool:
+    kind = response.headers.get("content-type", "")
+    return response.is_success and not kind.startswith("text/event-stream")

@@ -1,4 +1,4 @@
-"""What the service can do, written once over any transport."""
+"""Everything a client can ask of the service."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote
 
 import httpx
+from anyio import sleep
 from pydantic import BaseModel, ValidationError
 
 from chamfer_morph import schemas
-from chamfer_morph.client.connection import COMPUTING_TIMEOUT, Call, Transport
+from chamfer_morph.client.connection import DEFAULT_TIMEOUT_SECONDS, Connection, FileContent
 from chamfer_morph.client.download import download
-from chamfer_morph.client.errors import ServiceError, strange_answer
+from chamfer_morph.client.errors import ServiceError
+from chamfer_morph.client.execution import operation
 from chamfer_morph.client.job_events import follow
-from chamfer_morph.client.retry import PATIENT, USUAL, Attempts
 from chamfer_morph.schemas import (
     BuiltInShape,
     Event,
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Model = TypeVar("Model", bound=BaseModel)
+T = TypeVar("T")
 ShapeLike = str | Path | Shape
 
 TEXT_PREFIX = "text:"
@@ -58,74 +60,62 @@ PAGE_SIZE = 100
 EXPORT_SECONDS = 0.5
 """How often to look whether an export is ready."""
 
+UPLOAD_TIMEOUT = httpx.Timeout(30.0, read=180.0)
+"""The service reads a mesh before it answers [s]."""
 
-class Service:
-    """Every call to the service, as coroutines.
+COMPUTING_TIMEOUT = httpx.Timeout(30.0, read=900.0)
+"""The service computes a surface or fills a shape before it answers, maybe after others [s]."""
 
-    All of them raise ServiceError when the service refuses or does not answer.
+
+class Operations:
+    """What both clients can do.
+
+    Every operation raises ServiceError when the service refuses or does not answer.
 
     Args:
-        transport: Sends the calls.
+        server: Address of the service; MORPH_SERVER, or else this machine, if None.
+        key: API key; MORPH_KEY, or else no key, if None.
+        timeout_seconds: How long an answer may take [s].
     """
 
-    def __init__(self, transport: Transport) -> None:
-        self._transport = transport
-
-    async def close(self) -> None:
-        """Close all connections."""
-        await self._transport.close()
+    def __init__(
+        self,
+        server: str | None = None,
+        *,
+        key: str | None = None,
+        timeout_seconds: float = DEFAULT_TIMEOUT_SECONDS,
+    ) -> None:
+        self._connection = Connection(server, key, timeout_seconds)
 
     # meshes
 
+    @operation
     async def upload_mesh(self, path: str | Path) -> Mesh:
         """Upload a mesh file; what is there already is not sent again.
 
         Raises:
             MeshError: The file cannot be read.
         """
-        path = Path(path)
-        known = await self._find_mesh(path)
-        if known is not None:
-            return known
-        call = Call("POST", "/meshes", {"name": path.name}, upload=path, repeatable=True)
-        return self._parse(Mesh, await self._send(call))
+        return await self._upload(Path(path))
 
-    async def meshes(self) -> AsyncGenerator[Mesh, None]:
+    @operation
+    def meshes(self) -> AsyncGenerator[Mesh, None]:
         """Your meshes, the newest first."""
-        cursor: str | None = None
-        while True:
-            page = await self._get(MeshPage, "/meshes", limit=PAGE_SIZE, cursor=cursor)
-            for mesh in page.items:
-                yield mesh
-            cursor = page.next_cursor
-            if cursor is None:
-                return
+        return self._pages(MeshPage, "/meshes")
 
+    @operation
     async def mesh(self, mesh_id: str) -> Mesh:
         """One mesh."""
         return await self._get(Mesh, _at("meshes", mesh_id))
 
+    @operation
     async def delete_mesh(self, mesh_id: str) -> None:
         """Delete a mesh that no unfinished job uses."""
-        await self._send(Call("DELETE", _at("meshes", mesh_id)))
-
-    async def shape(self, source: ShapeLike) -> Shape:
-        """What a user typed as a shape of the service; a file is uploaded.
-
-        Args:
-            source: Path of a mesh file, or the name of a built-in shape, or text:WORD.
-
-        Raises:
-            MeshError: The file cannot be read.
-        """
-        if isinstance(source, MeshShape | BuiltInShape):
-            return source
-        if isinstance(source, str) and not _is_file(source):
-            return BuiltInShape(shape=source)
-        return MeshShape(mesh=(await self.upload_mesh(source)).id)
+        await self._connection.send("DELETE", _at("meshes", mesh_id))
 
     # jobs
 
+    @operation
     async def submit(
         self,
         source: ShapeLike,
@@ -167,8 +157,8 @@ class Service:
         """
         body = _checked(
             JobRequest,
-            source=await self.shape(source),
-            target=await self.shape(target),
+            source=await self._shape(source),
+            target=await self._shape(target),
             preset=preset,
             overrides=dict(overrides or {}),
             method=method,
@@ -179,9 +169,12 @@ class Service:
             priority=priority,
             timeout_seconds=timeout_seconds,
         )
-        return self._parse(Job, await self._send(_once("/jobs", body, idempotency_key)))
+        return await self._post(
+            Job, "/jobs", body, idempotency_key=idempotency_key or str(uuid.uuid4())
+        )
 
-    async def jobs(
+    @operation
+    def jobs(
         self,
         *,
         state: str | None = None,
@@ -190,47 +183,42 @@ class Service:
         owner: str | None = None,
     ) -> AsyncGenerator[Job, None]:
         """Jobs, the newest first; page after page is fetched as you iterate."""
-        cursor: str | None = None
-        while True:
-            page = await self._get(
-                JobPage,
-                "/jobs",
-                state=state,
-                method=method,
-                sweep=sweep,
-                owner=owner,
-                limit=PAGE_SIZE,
-                cursor=cursor,
-            )
-            for job in page.items:
-                yield job
-            cursor = page.next_cursor
-            if cursor is None:
-                return
+        query = {"state": state, "method": method, "sweep": sweep, "owner": owner}
+        return self._pages(JobPage, "/jobs", **query)
 
-    async def job(self, job_id: str, *, patient: bool = False) -> Job:
-        """A job as it stands; patient, it waits about a minute for a service that is away."""
-        return await self._get(Job, _at("jobs", job_id), patient=patient)
+    @operation
+    async def job(self, job_id: str, *, wait_for_service: bool = False) -> Job:
+        """A job as it stands.
 
+        Args:
+            job_id: The job.
+            wait_for_service: Wait about a minute for a service that is away.
+        """
+        return await self._get(Job, _at("jobs", job_id), wait_for_service=wait_for_service)
+
+    @operation
     async def cancel(self, job_id: str) -> Job:
         """Stop a job; its finished frames stay."""
-        call = Call("POST", _at("jobs", job_id, "cancel"), repeatable=True)
-        return self._parse(Job, await self._send(call))
+        return await self._post(Job, _at("jobs", job_id, "cancel"), repeatable=True)
 
+    @operation
     async def resume(self, job_id: str) -> Job:
         """Let a job that did not succeed go on after its last finished frame."""
-        return self._parse(Job, await self._send(Call("POST", _at("jobs", job_id, "resume"))))
+        return await self._post(Job, _at("jobs", job_id, "resume"))
 
+    @operation
     async def retry(self, job_id: str) -> Job:
         """Compute a finished job again from its beginning."""
-        return self._parse(Job, await self._send(Call("POST", _at("jobs", job_id, "retry"))))
+        return await self._post(Job, _at("jobs", job_id, "retry"))
 
+    @operation
     async def delete(self, job_id: str) -> None:
         """Delete a finished job and its result."""
-        await self._send(Call("DELETE", _at("jobs", job_id)))
+        await self._connection.send("DELETE", _at("jobs", job_id))
 
+    @operation
     def events(self, job_id: str, *, after: int = 0) -> AsyncGenerator[Event, None]:
-        """What happens to a job until it is finished, as it happens.
+        """Events of a job as they happen, until it is finished.
 
         A lost connection is taken up again after the last event.
 
@@ -238,16 +226,18 @@ class Service:
             job_id: The job.
             after: Leave out events up to this id.
         """
-        return follow(self._transport, _at("jobs", job_id, "events"), after)
+        return follow(self._connection, _at("jobs", job_id, "events"), after)
 
+    @operation
     async def wait(self, job_id: str) -> Job:
         """The job once it is finished, however it ended."""
-        async for _ in self.events(job_id):
+        async for _ in follow(self._connection, _at("jobs", job_id, "events"), after=0):
             pass
-        return await self.job(job_id, patient=True)
+        return await self._get(Job, _at("jobs", job_id), wait_for_service=True)
 
     # results
 
+    @operation
     async def download(self, job_id: str, path: str | Path) -> Path:
         """Fetch the result of a job into a file, which appears whole or not at all.
 
@@ -260,9 +250,10 @@ class Service:
         Raises:
             ResultError: What arrived is damaged.
         """
-        await download(self._transport, _at("jobs", job_id, "result"), Path(path))
+        await download(self._connection, _at("jobs", job_id, "result"), Path(path))
         return Path(path)
 
+    @operation
     async def frame(self, job_id: str, index: int = -1) -> NDArray[np.float32]:
         """Particle positions of a frame [dx], shape [particle_count, 3], float32.
 
@@ -270,16 +261,19 @@ class Service:
             job_id: The job, which may still run.
             index: 0-based; -1 is the last one finished.
         """
-        return await self._points(_at("jobs", job_id, "frames", str(index)))
+        return await self._get_points(_at("jobs", job_id, "frames", str(index)))
 
+    @operation
     async def source(self, job_id: str) -> NDArray[np.float32]:
         """Particle positions before the first frame [dx], shape [particle_count, 3], float32."""
-        return await self._points(_at("jobs", job_id, "source"))
+        return await self._get_points(_at("jobs", job_id, "source"))
 
+    @operation
     async def target(self, job_id: str) -> NDArray[np.float32]:
         """Target points [dx], shape [target_count, 3], float32."""
-        return await self._points(_at("jobs", job_id, "target"))
+        return await self._get_points(_at("jobs", job_id, "target"))
 
+    @operation
     async def field(self, job_id: str, name: str, index: int = -1) -> NDArray[np.float32]:
         """A field of a frame, a value per particle, shape [particle_count], float32.
 
@@ -291,9 +285,10 @@ class Service:
         import numpy as np
 
         path = _at("jobs", job_id, "frames", str(index), "fields", name)
-        values = await self._get_bytes(path, format="f32")
-        return np.frombuffer(values, "<f4").astype(np.float32)
+        answer = await self._connection.get(path, format="f32")
+        return np.frombuffer(answer.content, "<f4").astype(np.float32)
 
+    @operation
     async def surface(
         self,
         job_id: str,
@@ -314,12 +309,17 @@ class Service:
             units: The coordinates of the target's file, or grid units.
         """
         path = _at("jobs", job_id, "frames", str(index), "surface")
-        return await self._get_bytes(path, COMPUTING_TIMEOUT, format=format, units=units)
+        answer = await self._connection.get(
+            path, timeout=COMPUTING_TIMEOUT, format=format, units=units
+        )
+        return answer.content
 
+    @operation
     async def thumbnail(self, job_id: str) -> bytes:
         """A WebP picture of the newest frame, 240 x 180 pixels."""
-        return await self._get_bytes(_at("jobs", job_id, "thumbnail"))
+        return (await self._connection.get(_at("jobs", job_id, "thumbnail"))).content
 
+    @operation
     async def export(
         self,
         job_id: str,
@@ -357,39 +357,41 @@ class Service:
             units=units,
             fields=list(fields),
         )
-        asked = Call("POST", _at("jobs", job_id, "exports"), body=body, repeatable=True)
-        made = self._parse(Export, await self._send(asked))
-        while made.state == "running":
-            await self._transport.sleep(EXPORT_SECONDS)
+        path_of_exports = _at("jobs", job_id, "exports")
+        export = await self._post(Export, path_of_exports, body, repeatable=True)
+        while export.state == "running":
+            await sleep(EXPORT_SECONDS)
             try:
-                made = await self._get(Export, _at("jobs", job_id, "exports", made.id))
+                export = await self._get(Export, _at("jobs", job_id, "exports", export.id))
             except ServiceError as error:
                 if error.status != 404:
                     raise
                 # a restart has ended it: the same request is the same export
-                made = self._parse(Export, await self._send(asked))
-        if made.problem is not None:
-            raise ResultError(made.problem.cause, made.problem.remedy)
-        file = _at("jobs", job_id, "exports", made.id, "file")
-        await download(self._transport, file, Path(path))
+                export = await self._post(Export, path_of_exports, body, repeatable=True)
+        if export.problem is not None:
+            raise ResultError(export.problem.cause, export.problem.remedy)
+        exported = _at("jobs", job_id, "exports", export.id, "file")
+        await download(self._connection, exported, Path(path))
         return Path(path)
 
+    @operation
     async def metrics(self, job_id: str) -> list[dict[str, float]]:
         """Metrics of every finished frame, and what each took [s]."""
-        rows: list[dict[str, float]] = await self._get_json(_at("jobs", job_id, "metrics"))
-        return rows
+        return await self._get(list[dict[str, float]], _at("jobs", job_id, "metrics"))
 
+    @operation
     async def config(self, job_id: str) -> dict[str, Any]:
         """The resolved configuration of a job."""
-        config: dict[str, Any] = await self._get_json(_at("jobs", job_id, "config"))
-        return config
+        return await self._get(dict[str, Any], _at("jobs", job_id, "config"))
 
+    @operation
     async def log(self, job_id: str) -> str:
         """What the engine wrote while it computed a job."""
-        return (await self._send(Call("GET", _at("jobs", job_id, "log"), repeatable=True))).text
+        return (await self._connection.get(_at("jobs", job_id, "log"))).text
 
     # sweeps
 
+    @operation
     async def sweep(
         self,
         sources: Iterable[ShapeLike],
@@ -409,8 +411,8 @@ class Service:
         """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
         body = _checked(
             SweepRequest,
-            sources=[await self.shape(source) for source in sources],
-            targets=[await self.shape(target) for target in targets],
+            sources=[await self._shape(source) for source in sources],
+            targets=[await self._shape(target) for target in targets],
             methods=list(methods),
             seeds=list(seeds),
             preset=preset,
@@ -421,34 +423,48 @@ class Service:
             priority=priority,
             timeout_seconds=timeout_seconds,
         )
-        return self._parse(Sweep, await self._send(_once("/sweeps", body, idempotency_key)))
+        return await self._post(
+            Sweep, "/sweeps", body, idempotency_key=idempotency_key or str(uuid.uuid4())
+        )
 
-    async def sweep_status(self, sweep_id: str, *, patient: bool = False) -> Sweep:
-        """A sweep and its table; patient, it waits about a minute for a service that is away."""
-        return await self._get(Sweep, _at("sweeps", sweep_id), patient=patient)
+    @operation
+    async def sweep_status(self, sweep_id: str, *, wait_for_service: bool = False) -> Sweep:
+        """A sweep and its table.
+
+        Args:
+            sweep_id: The sweep.
+            wait_for_service: Wait about a minute for a service that is away.
+        """
+        return await self._get(Sweep, _at("sweeps", sweep_id), wait_for_service=wait_for_service)
 
     # what there is to choose from
 
+    @operation
     async def presets(self) -> list[Resource]:
         """The presets of the service."""
-        return await self._get_list(Resource, "/presets")
+        return await self._get(list[Resource], "/presets")
 
+    @operation
     async def methods(self) -> list[Resource]:
         """The methods of the service."""
-        return await self._get_list(Resource, "/methods")
+        return await self._get(list[Resource], "/methods")
 
+    @operation
     async def shapes(self) -> list[Resource]:
         """The built-in shapes of the service."""
-        return await self._get_list(Resource, "/shapes")
+        return await self._get(list[Resource], "/shapes")
 
+    @operation
     async def fields(self) -> list[ParticleField]:
         """What particles can be coloured by."""
-        return await self._get_list(ParticleField, "/fields")
+        return await self._get(list[ParticleField], "/fields")
 
+    @operation
     async def export_formats(self) -> list[ExportFormat]:
         """What jobs can be exported to."""
-        return await self._get_list(ExportFormat, "/exports/formats")
+        return await self._get(list[ExportFormat], "/exports/formats")
 
+    @operation
     async def particles(
         self, shape: ShapeLike, *, points_per_cell_edge: int = 3, fit: Fit = "auto"
     ) -> NDArray[np.float32]:
@@ -462,108 +478,121 @@ class Service:
         Raises:
             MeshError: The file cannot be read.
         """
-        known = await self.shape(shape)
+        known = await self._shape(shape)
         place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
         path = _at(*place, "particles")
-        return await self._points(path, points_per_cell_edge=points_per_cell_edge, fit=fit)
+        return await self._get_points(path, points_per_cell_edge=points_per_cell_edge, fit=fit)
 
     # administration
 
+    @operation
     async def keys(self) -> list[Key]:
         """The API keys, without their secrets."""
-        return await self._get_list(Key, "/keys")
+        return await self._get(list[Key], "/keys")
 
+    @operation
     async def create_key(self, name: str, scopes: Iterable[str] = ("read", "submit")) -> NewKey:
         """A new API key; its secret is shown this once."""
         body = _checked(KeyRequest, name=name, scopes=list(scopes))
-        return self._parse(NewKey, await self._send(Call("POST", "/keys", body=body)))
+        return await self._post(NewKey, "/keys", body)
 
+    @operation
     async def delete_key(self, name: str) -> None:
         """Delete an API key; it is refused from then on."""
-        await self._send(Call("DELETE", _at("keys", name)))
+        await self._connection.send("DELETE", _at("keys", name))
 
+    @operation
     async def workers(self) -> list[WorkerStatus]:
         """The worker slots."""
-        return await self._get_list(WorkerStatus, "/workers")
+        return await self._get(list[WorkerStatus], "/workers")
 
+    @operation
     async def pause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a worker finish its job and start no other."""
-        call = Call("POST", _at("workers", worker_id, "pause"), repeatable=True)
-        return self._parse(WorkerStatus, await self._send(call))
+        return await self._post(WorkerStatus, _at("workers", worker_id, "pause"), repeatable=True)
 
+    @operation
     async def unpause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a paused worker start jobs again."""
-        call = Call("POST", _at("workers", worker_id, "unpause"), repeatable=True)
-        return self._parse(WorkerStatus, await self._send(call))
+        return await self._post(WorkerStatus, _at("workers", worker_id, "unpause"), repeatable=True)
 
-    # how calls are sent
-
-    async def _send(self, call: Call, *, patient: bool = False) -> httpx.Response:
-        limit = PATIENT if patient else USUAL
-        attempts = Attempts(self._transport.server, limit=limit, repeatable=call.repeatable)
-        while True:
-            try:
-                response = await self._transport.send(call)
-                if response.is_success:
-                    return response
-                if response.status_code < 400:
-                    raise strange_answer(self._transport.server)
-                pause = attempts.pause_after_refusal(response)
-            except httpx.TransportError as error:
-                pause = attempts.pause_after_loss(error)
-            await self._transport.sleep(pause)
+    # how requests are sent
 
     async def _get(
-        self, model: type[Model], path: str, *, patient: bool = False, **query: Any
-    ) -> Model:
-        call = Call("GET", path, query, repeatable=True)
-        return self._parse(model, await self._send(call, patient=patient))
+        self, type_: type[T], path: str, *, wait_for_service: bool = False, **query: Any
+    ) -> T:
+        answer = await self._connection.get(path, wait_for_service=wait_for_service, **query)
+        return self._connection.parse(type_, answer.content)
 
-    async def _get_bytes(
-        self, path: str, timeout: httpx.Timeout | None = None, **query: Any
-    ) -> bytes:
-        call = Call("GET", path, query, repeatable=True, timeout=timeout)
-        return (await self._send(call)).content
-
-    async def _points(self, path: str, **query: Any) -> NDArray[np.float32]:
+    async def _get_points(self, path: str, **query: Any) -> NDArray[np.float32]:
         import numpy as np
 
-        file = io.BytesIO(await self._get_bytes(path, COMPUTING_TIMEOUT, format="npy", **query))
-        points: NDArray[np.float32] = np.load(file, allow_pickle=False)
+        answer = await self._connection.get(path, timeout=COMPUTING_TIMEOUT, format="npy", **query)
+        points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)
         return points
 
-    async def _get_json(self, path: str) -> Any:
-        response = await self._send(Call("GET", path, repeatable=True))
-        try:
-            return response.json()
-        except ValueError:
-            raise strange_answer(self._transport.server) from None
+    async def _pages(
+        self, page_type: type[Any], path: str, **query: Any
+    ) -> AsyncGenerator[Any, None]:
+        """The items of page after page, each of which is fetched when it is needed."""
+        cursor: str | None = ""
+        while cursor is not None:
+            page = await self._get(page_type, path, limit=PAGE_SIZE, cursor=cursor or None, **query)
+            for item in page.items:
+                yield item
+            cursor = page.next_cursor
 
-    async def _get_list(self, model: type[Model], path: str) -> list[Model]:
-        try:
-            return [model.model_validate(item) for item in await self._get_json(path)]
-        except (ValidationError, TypeError):
-            raise strange_answer(self._transport.server) from None
+    async def _post(
+        self,
+        type_: type[T],
+        path: str,
+        body: BaseModel | None = None,
+        *,
+        repeatable: bool = False,
+        idempotency_key: str | None = None,
+    ) -> T:
+        headers = {"Content-Type": "application/json"} if body else {}
+        if idempotency_key:
+            headers["Idempotency-Key"] = idempotency_key
+        answer = await self._connection.send(
+            "POST",
+            path,
+            content=body.model_dump_json() if body else None,
+            headers=headers,
+            repeatable=repeatable or idempotency_key is not None,
+        )
+        return self._connection.parse(type_, answer.content)
 
-    def _parse(self, model: type[Model], response: httpx.Response) -> Model:
+    async def _upload(self, path: Path) -> Mesh:
         try:
-            return model.model_validate_json(response.content)
-        except ValidationError:
-            raise strange_answer(self._transport.server) from None
-
-    async def _find_mesh(self, path: Path) -> Mesh | None:
-        try:
-            digest = file_sha256(path)
+            digest, size = file_sha256(path), path.stat().st_size
         except OSError as error:
             raise MeshError(
                 f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
             ) from error
         try:
-            return await self.mesh(digest)
+            return await self._get(Mesh, _at("meshes", digest))
         except ServiceError as error:
             if error.status != 404:
                 raise
-            return None
+        answer = await self._connection.send(
+            "POST",
+            "/meshes",
+            params={"name": path.name},
+            content=FileContent(path),
+            headers={"Content-Type": "application/octet-stream", "Content-Length": str(size)},
+            timeout=UPLOAD_TIMEOUT,
+            repeatable=True,
+        )
+        return self._connection.parse(Mesh, answer.content)
+
+    async def _shape(self, source: ShapeLike) -> Shape:
+        """The shape that a user named by a file, which is uploaded, or by a name."""
+        if isinstance(source, MeshShape | BuiltInShape):
+            return source
+        if isinstance(source, str) and not _is_file(source):
+            return BuiltInShape(shape=source)
+        return MeshShape(mesh=(await self._upload(Path(source))).id)
 
 
 def _at(*segments: str) -> str:
@@ -583,12 +612,6 @@ def _is_file(shape: str) -> bool:
     if shape.startswith(TEXT_PREFIX):
         return False
     return bool({".", "/"} & set(shape)) or Path(shape).is_file()
-
-
-def _once(path: str, body: BaseModel, key: str | None) -> Call:
-    """A call that has one effect however often it is sent."""
-    headers = {"Idempotency-Key": key or str(uuid.uuid4())}
-    return Call("POST", path, body=body, headers=headers, repeatable=True)
 
 
 def _checked(model: type[Model], **values: Any) -> Model:

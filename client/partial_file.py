@@ -58,7 +58,7 @@ class PartialFile:
         """Remove it."""
         self.path.unlink(missing_ok=True)
 
-    def keep(self) -> None:
+    def complete(self) -> None:
         """Make it the whole file, in one step.
 
         Raises:

@@ -1,4 +1,4 @@
-"""When a call is tried again, and after how long."""
+"""When a request is tried again, and after how long."""
 
 from __future__ import annotations
 
@@ -7,33 +7,34 @@ import time
 from email.utils import parsedate_to_datetime
 
 import httpx
+from anyio import sleep
 
-from chamfer_morph.client.errors import refusal, unreachable
+from chamfer_morph.client.errors import refusal, unexpected_answer, unreachable
 
-USUAL = 5
-"""Attempts of a single call: a few seconds, enough for a restart of the service."""
+FEW_ATTEMPTS = 5
+"""For a single request: a few seconds, enough for a restart of the service."""
 
-PATIENT = 14
-"""Attempts in a row of what follows a job for hours: about a minute."""
+MANY_ATTEMPTS = 14
+"""For what follows a job for hours: about a minute."""
 
 FIRST_SECONDS, LONGEST_SECONDS = 0.2, 8.0
 LONGEST_WAIT_SECONDS = 10.0
 """A service that asks for a longer wait is not waited for: the user should know at once."""
 
-_PASSING = {502, 503, 504}
+_TEMPORARY = {502, 503, 504}
 _NOT_SENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout)
 
 
 class Attempts:
-    """Counts failures in a row; each says how long to wait, until there are too many.
+    """Counts failures in a row and waits after each, until there are too many.
 
     Args:
         server: Address of the service, for messages.
         limit: Number of attempts.
-        repeatable: Whether the call may reach the service twice.
+        repeatable: Whether the request may reach the service twice.
     """
 
-    def __init__(self, server: str, *, limit: int = USUAL, repeatable: bool = True) -> None:
+    def __init__(self, server: str, *, limit: int = FEW_ATTEMPTS, repeatable: bool = True) -> None:
         self._server = server
         self._limit = limit
         self._repeatable = repeatable
@@ -43,30 +44,33 @@ class Attempts:
         """Start counting anew."""
         self._failures = 0
 
-    def pause_after_loss(self, error: Exception) -> float:
-        """Seconds to wait after a connection failed.
+    async def pause_after_loss(self, error: Exception) -> None:
+        """Wait after a connection failed.
 
         Raises:
             ServiceError: It is not to be tried again.
         """
-        if not (self._repeatable or isinstance(error, _NOT_SENT)) or self._last():
+        may_repeat = self._repeatable or isinstance(error, _NOT_SENT)
+        if not may_repeat or self._is_last():
             raise unreachable(self._server, error) from error
-        return self._pause()
+        await sleep(self._pause())
 
-    def pause_after_refusal(self, response: httpx.Response) -> float:
-        """Seconds to wait after an answer with a status of 400 and above.
+    async def pause_after_refusal(self, response: httpx.Response) -> None:
+        """Wait after an answer that is no success.
 
         Raises:
             ServiceError: It is not to be tried again.
         """
         status = response.status_code
-        again = status == 429 or (self._repeatable and status in _PASSING)
-        asked = retry_after(response)
-        if not again or (asked or 0) > LONGEST_WAIT_SECONDS or self._last():
+        if status < 400:
+            raise unexpected_answer(self._server)
+        may_repeat = status == 429 or (self._repeatable and status in _TEMPORARY)
+        requested = retry_after(response) or 0
+        if not may_repeat or requested > LONGEST_WAIT_SECONDS or self._is_last():
             raise refusal(response)
-        return max(self._pause(), asked or 0)
+        await sleep(max(self._pause(), requested))
 
-    def _last(self) -> bool:
+    def _is_last(self) -> bool:
         self._failures += 1
         return self._failures >= self._limit
 

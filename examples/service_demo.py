@@ -21,7 +21,7 @@ from pathlib import Path
 
 from chamfer_morph.cli.job_tables import print_outcome
 from chamfer_morph.cli.tables import clock
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
 
 WIDTHS = {"desk": (1400, 900), "phone": (390, 844)}

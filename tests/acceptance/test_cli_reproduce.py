@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from morph_engine.files import acquire
 from morph_engine.results.spool import finished_frames, spool_path
 from morph_engine.results.trajectory import Trajectory

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from morph_engine.results.trajectory import Trajectory
 
 MORPH = Path(sys.executable).with_name("morph")

@@ -10,8 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from chamfer_morph.client import retry
-from chamfer_morph.client.client import AsyncMorphClient, MorphClient
+from chamfer_morph.client import AsyncMorphClient, MorphClient, retry
 from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError, ResultError
 
@@ -153,12 +152,11 @@ def test_an_unsafe_call_is_not_repeated():
     assert caught.value.exit_status == 3
 
 
-def test_retry_after_is_obeyed():
+def test_retry_after_is_obeyed(monkeypatch):
     """429 is waited out even by an unsafe call, for it was not done."""
     answers = problem(429, **{"Retry-After": "1"}), as_json(job("cancelled"))
     with serving(*answers) as (server, _), MorphClient(server) as client:
-        slept = []
-        client.service._transport.sleep = recorded(slept)
+        slept = recorded_sleep(monkeypatch)
         assert client.cancel(JOB_ID).state == "cancelled"
     assert slept == [1.0]
 
@@ -168,7 +166,7 @@ def test_patience_ends():
     with serving(problem(503)) as (server, requests), MorphClient(server) as client:
         with pytest.raises(ServiceError, match="It is so") as caught:
             client.job(JOB_ID)
-        assert len(requests) == retry.USUAL
+        assert len(requests) == retry.FEW_ATTEMPTS
     assert caught.value.exit_status == 3
     with (
         serving(problem(429, **{"Retry-After": "3600"})) as (server, requests),
@@ -179,13 +177,12 @@ def test_patience_ends():
     assert len(requests) == 1
 
 
-def test_whoever_watches_is_patient():
+def test_whoever_watches_waits_for_the_service(monkeypatch):
     """A service that is away for half a minute ends no watching of hours."""
-    away = [problem(503)] * (retry.USUAL + 3)
+    away = [problem(503)] * (retry.FEW_ATTEMPTS + 3)
     with serving(*away, as_json(job("running"))) as (server, _), MorphClient(server) as client:
-        slept = []
-        client.service._transport.sleep = recorded(slept)
-        assert client.job(JOB_ID, patient=True).state == "running"
+        slept = recorded_sleep(monkeypatch)
+        assert client.job(JOB_ID, wait_for_service=True).state == "running"
     assert len(slept) == len(away)
 
 
@@ -460,13 +457,15 @@ def test_the_async_client_streams_an_upload(tmp_path):
 def test_both_clients_have_the_same_methods():
     """Whatever one can do, the other can."""
     names = {name for name in dir(AsyncMorphClient) if not name.startswith("_")}
-    assert names - {"shape"} <= set(dir(MorphClient))
+    assert names == {name for name in dir(MorphClient) if not name.startswith("_")}
 
 
-def recorded(slept):
-    """A sleep that only says how long it was asked to be."""
+def recorded_sleep(monkeypatch):
+    """Pauses that only say how long they were asked to be."""
+    slept = []
 
     async def sleep(seconds):
         slept.append(round(seconds, 3))
 
-    return sleep
+    monkeypatch.setattr(retry, "sleep", sleep)
+    return slept

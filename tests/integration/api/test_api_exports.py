@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from chamfer_morph.client.client import MorphClient
+from chamfer_morph.client import MorphClient
 from chamfer_morph.client.errors import ServiceError
 from chamfer_morph.server.routes import exports
 from chamfer_morph.worker import sandbox
