@@ -1,10 +1,14 @@
-"""Child Python processes: what they may import, and how they end with their parent."""
+"""Child Python processes: what they may import, their priority, and their end with the parent."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import threading
+from pathlib import Path
+
+NICENESS = 10
 
 _RUN_MODULE = (
     "import sys; del sys.argv[0]; sys.path[:1] == [''] and sys.path.pop(0); "
@@ -41,3 +45,13 @@ def exit_with_parent(status: int) -> None:
         os._exit(status)
 
     threading.Thread(target=wait, daemon=True).start()
+
+
+def lower_priority() -> None:
+    """Let other processes have the cores first, such as a service that has to answer.
+
+    Where Linux groups processes by session it heeds the niceness of a group; ours is this process.
+    """
+    os.nice(NICENESS)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")

@@ -56,5 +56,5 @@ class ApiServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop answering."""
         self.context.event_hub.close()
-        self.context.close_pools()
+        self.context.close_computations()
         await super().shutdown(sockets)

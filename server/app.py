@@ -66,7 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
             yield
         finally:
             context.event_hub.close()
-            context.close_pools()
+            context.close_computations()
             await anyio.to_thread.run_sync(context.close)
 
     app = FastAPIOffline(  # /docs works without a network

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
 import sqlalchemy as sa
@@ -14,11 +14,10 @@ from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.sweeps import SweepStore
 from chamfer_morph.server.event_hub import EventHub
-from chamfer_morph.server.export_tasks import ExportTasks
-from chamfer_morph.server.previews import Previews
 from chamfer_morph.server.quotas import Quotas
-from chamfer_morph.server.single_flight import Derivations
+from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.worker.queue import JobQueue, database
+from chamfer_morph.worker.sandbox.computations import SampledShape
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 
@@ -27,12 +26,16 @@ PREVIEWS = 1
 """Meshes parsed, and shapes filled for a preview, at the same time; each may take the memory of
 `inspect_memory_bytes`."""
 
+PREVIEW_CACHE_BYTES = 64 << 20
+
 COMPUTATIONS = 1
 """Fields, thumbnails, meshes and the like computed at the same time, in this process."""
 
 SURFACES = 1
+PARTIAL_RESULTS = 1
 EXPORTS = 1
-"""Surfaces and exports made at the same time; each may take the memory of `export_memory_bytes`."""
+"""Files made of a job's frames at the same time; each may take the memory of
+`export_memory_bytes`."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,13 @@ class ServerContext:
     sweeps: SweepStore
     quotas: Quotas
     event_hub: EventHub
-    inspection_limiter: anyio.CapacityLimiter
     compute_limiter: anyio.CapacityLimiter
-    previews: Previews
-    surfaces: Derivations
-    exports: ExportTasks
+    inspections: SingleFlight[dict[str, Any]]
+    previews: SingleFlight[SampledShape]
+    surfaces: SingleFlight[None]
+    thumbnails: SingleFlight[bytes]
+    partial_results: SingleFlight[None]
+    exports: SingleFlight[None]
 
     @classmethod
     def open(cls, settings: Settings) -> ServerContext:
@@ -63,6 +68,7 @@ class ServerContext:
         engine = database(settings)
         tables.create(engine)
         meshes = MeshStore(engine)
+        compute_limiter = anyio.CapacityLimiter(COMPUTATIONS)
         return cls(
             settings=settings,
             storage=storage,
@@ -73,28 +79,38 @@ class ServerContext:
             sweeps=SweepStore(engine),
             quotas=Quotas(settings, storage, queue, meshes),
             event_hub=EventHub(queue, storage, settings.watchers),
-            inspection_limiter=anyio.CapacityLimiter(INSPECTIONS),
-            compute_limiter=anyio.CapacityLimiter(COMPUTATIONS),
-            previews=Previews(settings, PREVIEWS),
-            surfaces=Derivations(SURFACES),
-            exports=ExportTasks(EXPORTS),
+            compute_limiter=compute_limiter,
+            inspections=SingleFlight(anyio.CapacityLimiter(INSPECTIONS)),
+            previews=SingleFlight(
+                anyio.CapacityLimiter(PREVIEWS),
+                cache_bytes=PREVIEW_CACHE_BYTES,
+                size_of=lambda shape: shape.positions.nbytes,
+            ),
+            surfaces=SingleFlight(anyio.CapacityLimiter(SURFACES)),
+            thumbnails=SingleFlight(compute_limiter),
+            partial_results=SingleFlight(anyio.CapacityLimiter(PARTIAL_RESULTS)),
+            exports=SingleFlight(anyio.CapacityLimiter(EXPORTS)),
         )
 
     def cancel_computations(self, job_id: str) -> None:
         """End what is being computed from the frames of a job, which go."""
-        folder = self.storage.derived_dir(job_id)
-        self.surfaces.end(folder)
-        self.exports.end(folder)
+        for computations in self._of_jobs:
+            computations.cancel(job_id)
 
-    def close_pools(self) -> None:
+    def close_computations(self) -> None:
         """End what is being computed."""
-        self.surfaces.close()
-        self.exports.close()
+        for computations in (*self._of_jobs, self.inspections, self.previews):
+            computations.close()
 
     def close(self) -> None:
         """Give the connections back."""
         self.queue.close()
         self.engine.dispose()
+
+    @property
+    def _of_jobs(self) -> tuple[SingleFlight[Any], ...]:
+        """What is computed from frames, by keys that begin with the id of the job."""
+        return self.surfaces, self.thumbnails, self.partial_results, self.exports
 
 
 async def _context(request: Request) -> ServerContext:

@@ -23,9 +23,9 @@ from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
 from chamfer_morph.worker.job import JobSpec, problem_of
-from chamfer_morph.worker.niceness import yield_to_others
 from chamfer_morph.worker.storage import Storage
-from chamfer_morph.worker.tasks.partial_result import LOCK_SECONDS, keep_frames
+from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
+from morph_engine.child_process import lower_priority
 from morph_engine.config import MorphConfig
 from morph_engine.digest import file_sha256
 from morph_engine.errors import MorphError, ResultError
@@ -41,7 +41,7 @@ SILENCE_SECONDS = 6.0
 
 def main(job_dir: Path, attempt: int, threads: int) -> None:
     """Compute a job, or go on with it, and say how it went."""
-    yield_to_others()
+    lower_priority()
     threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
     storage = Storage(job_dir.parent.parent)
     lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
@@ -151,7 +151,7 @@ def _watch_worker(out: Path) -> None:
         received = os.read(0, 64) if ready else b""
         if STOP in received:
             with contextlib.suppress(MorphError, OSError):  # the frames stay where they are
-                keep_frames(out)
+                write_partial_result(out)
             os._exit(ExitCode.STOPPED)
         if not received:
             os._exit(ExitCode.ORPHANED)

@@ -1,7 +1,8 @@
-"""What a job has to show, from its result or, while it runs, from the run directory beside it."""
+"""Frames of a job: of its result file, or of the run directory beside it where that has more."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -33,18 +34,15 @@ class Frame:
     positions: NDArray[np.float32]
 
 
-def read_frame(result: Path, index: int, finished: bool) -> Frame | None:
+def read_frame(result: Path, index: int) -> Frame | None:
     """A frame, or None where there is none of that index.
 
     Args:
         result: The result file, whether it is there or not.
         index: Index of the frame; negative counts from the end.
-        finished: Whether the job is; then the result file counts, unless it lacks frames.
     """
-    use_result = finished and not has_unkept_frames(result)
-    sources = (_from_result, _from_run) if use_result else (_from_run, _from_result)
-    for source in (*sources, sources[0]):  # a job may finish between the first two
-        frame = source(result, index)
+    for _ in range(3):  # a job may finish, or go on, between two looks
+        frame = (_from_run if has_unsaved_frames(result) else _from_result)(result, index)
         if frame is not None:
             return frame
     return None
@@ -55,23 +53,23 @@ def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
 
     None where the method has none.
     """
-    try:
-        return spool.read_det_f(result, index)
-    except ResultError:
-        with Trajectory(result) as trajectory:
-            return trajectory.det_f(index)
+    if has_unsaved_frames(result):
+        with suppress(ResultError):  # the job finishes just now
+            return spool.read_det_f(result, index)
+    with Trajectory(result) as trajectory:
+        return trajectory.det_f(index)
 
 
-def count_frames(result: Path, finished: bool) -> int:
+def count_frames(result: Path) -> int:
     """Number of frames that `read_frame` finds."""
-    in_run = finished_frames(result)
-    if finished:
-        return max(in_run, _count_of_result(result))
-    return in_run or _count_of_result(result)
+    return max(finished_frames(result), _count_of_result(result))
 
 
-def has_unkept_frames(result: Path) -> bool:
-    """Whether the run directory has frames that the result lacks: its engine was killed."""
+def has_unsaved_frames(result: Path) -> bool:
+    """Whether the run directory has frames that the result lacks.
+
+    A job runs, or its engine was killed.
+    """
     in_run = finished_frames(result)
     return in_run > 0 and in_run > _count_of_result(result)
 

@@ -23,7 +23,7 @@ class JobSpec(BaseModel):
 
 
 def problem_of(error: MorphError) -> Problem:
-    """An error of the engine as the reason why a job, or an export of it, failed."""
+    """An error of the engine as the reason why a job, or an export of it, has failed."""
     kind: Literal["simulation", "resources", "input"] = "input"
     if isinstance(error, SimulationError):
         kind = "simulation"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -123,6 +125,27 @@ class Storage:
     def remove_job(self, job_id: str) -> None:
         """Delete what a job left, if anything."""
         shutil.rmtree(self.job_dir(job_id), ignore_errors=True)
+
+
+@contextmanager
+def writing(subject: str) -> Iterator[None]:
+    """Tell a user what could not be written.
+
+    Args:
+        subject: What is written, as the beginning of a sentence: "The surface".
+
+    Raises:
+        ResultError: The disk refuses, or a folder has gone.
+    """
+    try:
+        yield
+    except TimeoutError:  # of a lock: an OSError, too
+        raise
+    except OSError as error:
+        raise ResultError(
+            f"{subject} cannot be written ({error.strerror or error}).",
+            "Free some disk space, and see that the job has not been deleted.",
+        ) from error
 
 
 @lru_cache(maxsize=4096)

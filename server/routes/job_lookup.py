@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import anyio
+from starlette.requests import Request
+
 from chamfer_morph.schemas.ids import is_id
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError, not_found
-from chamfer_morph.worker.frame_reader import Frame, read_frame, read_record
+from chamfer_morph.server.single_flight import Flight
+from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_record
 from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.tasks.partial_result import keep_result
+from chamfer_morph.worker.sandbox.computations import write_partial_result
 from morph_engine.results.run_record import RunRecord
 
 
@@ -34,7 +38,7 @@ def find_frame(record: JobRecord, index: int, context: ServerContext) -> Frame:
         ProblemError: 404.
         ResultError: It is damaged.
     """
-    frame = read_frame(context.storage.result_path(record.id), index, record.state.finished)
+    frame = read_frame(context.storage.result_path(record.id), index)
     if frame is None:
         yet = "" if record.state.finished else " yet"
         raise ProblemError(
@@ -65,16 +69,20 @@ def find_run_record(record: JobRecord, context: ServerContext) -> RunRecord:
     return run
 
 
-def find_result(record: JobRecord, context: ServerContext) -> Path:
-    """The result file of a finished job, with all its frames; blocks.
+async def find_result(record: JobRecord, request: Request, context: ServerContext) -> Path:
+    """The result file of a finished job, with all its frames.
 
     Raises:
         ProblemError: 409, there is none.
         MorphError: Its engine was killed, and its frames cannot be made a result.
     """
-    if record.state.finished:
-        keep_result(context.storage, record.id, context.settings)
     path = context.storage.result_path(record.id)
+    if record.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
+
+        def compute(flight: Flight[None]) -> None:
+            write_partial_result(context.storage, record.id, context.settings, flight.on_start)
+
+        await context.partial_results.get((record.id,), compute, request)
     if not record.state.finished or not path.is_file():
         raise ProblemError(
             409,

@@ -244,7 +244,7 @@ async def _with_files(
     body = validate(body | shapes, JobRequest)
     if form.files:
         await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
-        await store_uploads(list(form.files.values()), caller, context)
+        await store_uploads(list(form.files.values()), request, caller, context)
     return body
 
 

@@ -23,7 +23,8 @@ from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.multipart import receive_form
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.http.uploads import Upload, plain_name, receive_file
-from chamfer_morph.worker.tasks.inspect_mesh import inspect_file
+from chamfer_morph.server.single_flight import Flight
+from chamfer_morph.worker.sandbox.computations import inspect_mesh
 from morph_engine.geometry.mesh import FORMATS
 
 router = APIRouter(prefix="/meshes", tags=["meshes"])
@@ -88,7 +89,7 @@ async def upload_mesh(
             upload = await stack.enter_async_context(
                 receive_file(request, folder, name, context.settings)
             )
-        (row, new), *_ = await store_uploads([upload], caller, context)
+        (row, new), *_ = await store_uploads([upload], request, caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"
     response.status_code = 201 if new else 200
     return await anyio.to_thread.run_sync(to_mesh, row, context)
@@ -174,7 +175,7 @@ def find_mesh(mesh_id: str, caller: Caller, context: ServerContext) -> MeshRow:
 
 
 async def store_uploads(
-    uploads: list[Upload], caller: Caller, context: ServerContext
+    uploads: list[Upload], request: Request, caller: Caller, context: ServerContext
 ) -> list[tuple[MeshRow, bool]]:
     """Inspect uploads, and store them if all can be used.
 
@@ -189,7 +190,7 @@ async def store_uploads(
     reports: list[dict[str, Any] | None] = []
     for upload in uploads:
         known = context.storage.mesh_file(upload.sha256) is not None
-        reports.append(None if known else await _inspect(upload, context))
+        reports.append(None if known else await _inspect(upload, request, context))
     stored = []
     for upload, suffix, report in zip(uploads, suffixes, reports, strict=True):
         stored.append(
@@ -228,10 +229,11 @@ def to_mesh(row: MeshRow, context: ServerContext) -> Mesh:
     )
 
 
-async def _inspect(upload: Upload, context: ServerContext) -> dict[str, Any]:
-    return await anyio.to_thread.run_sync(
-        inspect_file, upload.path, upload.name, context.settings, limiter=context.inspection_limiter
-    )
+async def _inspect(upload: Upload, request: Request, context: ServerContext) -> dict[str, Any]:
+    def compute(flight: Flight[dict[str, Any]]) -> dict[str, Any]:
+        return inspect_mesh(upload.path, upload.name, context.settings, flight.on_start)
+
+    return await context.inspections.get((upload.path,), compute, request)
 
 
 def _store(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import anyio
@@ -10,11 +11,12 @@ from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import Fit, FrameFormat
 from chamfer_morph.server.auth import Reader
-from chamfer_morph.server.context import Context
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes import meshes
-from chamfer_morph.worker.tasks.sample_shape import Preview
+from chamfer_morph.server.single_flight import Flight
+from chamfer_morph.worker.sandbox.computations import SampledShape, sample_shape
 from morph_engine.config import GridConfig
 
 router = APIRouter()
@@ -57,7 +59,7 @@ async def get_mesh_particles(
     path = context.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    preview = await context.previews.get(path, row.name, points_per_cell_edge, fit, request)
+    preview = await _sample(path, row.name, points_per_cell_edge, fit, request, context)
     known = context.storage.mesh_report(mesh_id)["warnings"]
     return await anyio.to_thread.run_sync(_response, request, preview, format, known)
 
@@ -80,12 +82,30 @@ async def get_shape_particles(
     format: Format = "u16",
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
-    preview = await context.previews.get(shape, shape, points_per_cell_edge, fit, request)
+    preview = await _sample(shape, shape, points_per_cell_edge, fit, request, context)
     return await anyio.to_thread.run_sync(_response, request, preview, format, [])
 
 
+async def _sample(
+    shape: Path | str,
+    name: str,
+    points_per_cell_edge: int,
+    fit: Fit,
+    request: Request,
+    context: ServerContext,
+) -> SampledShape:
+    """The particles of a shape; arguments and errors as of `sample_shape`."""
+
+    def compute(flight: Flight[SampledShape]) -> SampledShape:
+        return sample_shape(
+            shape, name, points_per_cell_edge, fit, context.settings, flight.on_start
+        )
+
+    return await context.previews.get((shape, points_per_cell_edge, fit), compute, request)
+
+
 def _response(
-    request: Request, preview: Preview, format: FrameFormat, known: list[str]
+    request: Request, preview: SampledShape, format: FrameFormat, known: list[str]
 ) -> Response:
     headers = {
         "Morph-Count": str(len(preview.positions)),

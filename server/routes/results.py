@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import anyio
 from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
@@ -43,19 +44,19 @@ TABLES_KEPT = 64
         304: {"description": "You have it already."},
     },
 )
-def get_result(job_id: str, request: Request, caller: Reader, context: Context) -> Response:
+async def get_result(job_id: str, request: Request, caller: Reader, context: Context) -> Response:
     """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
 
     Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
     leaves the frames it had finished.
     """
-    record = job_lookup.find_job(job_id, caller, context)
-    path = job_lookup.find_result(record, context)
+    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
+    path = await job_lookup.find_result(record, request, context)
     if record.outcome is not None:
         digest = record.outcome.sha256
     else:
         seen = path.stat()
-        digest = _digest(path, seen.st_mtime_ns, seen.st_size)
+        digest = await anyio.to_thread.run_sync(_digest, path, seen.st_mtime_ns, seen.st_size)
     headers = etag_headers(digest)
     return not_modified(request, headers) or FileResponse(
         path,

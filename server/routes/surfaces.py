@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,8 +16,10 @@ from chamfer_morph.server.http.array_encoding import BINARY, PLY
 from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes import job_lookup
+from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.tasks.reconstruct_surface import KeptSurface, compute_surface
+from chamfer_morph.worker.sandbox.computations import reconstruct_surface
+from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
@@ -72,13 +73,13 @@ async def get_surface(
     record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
     frame = await anyio.to_thread.run_sync(job_lookup.find_frame, record, index, context)
     path = context.storage.surface_path(job_id, frame.index)
-    if not path.exists():
+
+    def compute(flight: Flight[None]) -> None:
+        reconstruct_surface(context.storage, job_id, frame.index, context.settings, flight.on_start)
+
+    if not await anyio.Path(path).exists():
         await anyio.to_thread.run_sync(context.quotas.check_disk, record.owner)
-    finished = record.state.finished
-    compute = partial(
-        compute_surface, context.storage, job_id, frame.index, finished, context.settings
-    )
-    await context.surfaces.make(path, compute, request)
+        await context.surfaces.get((job_id, frame.index), compute, request)
     try:
         etag = await anyio.to_thread.run_sync(_etag, path, format, units)
         headers = etag_headers(etag)
@@ -104,7 +105,7 @@ def _encode(
     """A surface that is there as a file, and what to tell of it."""
     import trimesh
 
-    surface = KeptSurface.load(context.storage.surface_path(record.id, index))
+    surface = StoredSurface.load(context.storage.surface_path(record.id, index))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if units == "user":
         mesh.apply_transform(job_lookup.find_run_record(record, context).transform)

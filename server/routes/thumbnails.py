@@ -40,33 +40,20 @@ async def get_thumbnail(
 ) -> Response:
     """A picture of the newest frame, also while the job runs; its ETag changes with it."""
     record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    body = await anyio.to_thread.run_sync(_kept, record, context)
-    if body is None:
-        body = await anyio.to_thread.run_sync(
-            _draw, record, context, limiter=context.compute_limiter
+    path = await anyio.to_thread.run_sync(_path, record, context)
+    try:
+        body = await anyio.Path(path).read_bytes()
+    except FileNotFoundError:
+        body = await context.thumbnails.get(
+            (job_id, path.name), lambda _: _draw(path, record, context), request
         )
     return bytes_response(request, body, WEBP)
 
 
-def _kept(record: JobRecord, context: ServerContext) -> bytes | None:
-    """The picture of the newest frame, if it has been drawn before.
-
-    Raises:
-        ProblemError: 404, there is no frame yet.
-    """
-    try:
-        return _path(record, context).read_bytes()
-    except FileNotFoundError:
-        return None
-
-
-def _draw(record: JobRecord, context: ServerContext) -> bytes:
-    """Draw it, unless that has been done while this waited for its turn."""
-    if (kept := _kept(record, context)) is not None:
-        return kept
+def _draw(path: Path, record: JobRecord, context: ServerContext) -> bytes:
+    """Draw the newest frame, and keep the picture."""
     from morph_engine.rendering.pictures import thumbnail
 
-    path = _path(record, context)
     frame = job_lookup.find_frame(record, -1, context)
     spacing = MorphConfig.model_validate(record.spec.config).spacing
     picture: bytes = thumbnail(frame.positions, spacing)
@@ -81,9 +68,12 @@ def _draw(record: JobRecord, context: ServerContext) -> bytes:
 
 
 def _path(record: JobRecord, context: ServerContext) -> Path:
-    """Where the picture of the newest frame lies, named by the number of frames there are."""
-    result = context.storage.result_path(record.id)
-    count = count_frames(result, record.state.finished)
+    """Where the picture of the newest frame lies, named by the number of frames there are.
+
+    Raises:
+        ProblemError: 404, there is no frame yet.
+    """
+    count = count_frames(context.storage.result_path(record.id))
     if not count:
         raise ProblemError(404, "There is no frame yet.", "Wait until the job has finished one.")
     return context.storage.derived_dir(record.id) / f"thumbnail-{count:06d}.webp"

@@ -10,67 +10,86 @@ from pathlib import Path
 import psutil
 import pytest
 
-from chamfer_morph.worker import sandbox
-from chamfer_morph.worker.sandbox import Limits
+from chamfer_morph.worker.sandbox import runner
+from chamfer_morph.worker.sandbox.runner import Answer, CrashedError, Limits, Wording
+from morph_engine.errors import MeshError, ResourceError
 
-CHILD = """
+TASK = """
 import sys
-from chamfer_morph.worker import sandbox
-from chamfer_morph.worker.exit_codes import ExitCode
-sandbox.enter()
-try:
-    exec(sys.argv[1])
-except MemoryError:
-    sys.exit(ExitCode.OUT_OF_MEMORY)
+from collections.abc import Callable
+from chamfer_morph.worker.sandbox.runner import Answer
+from morph_engine.errors import MeshError
+def run(code: str, report_progress: Callable[[float], None]):
+    found = {"report_progress": report_progress}
+    exec(code, globals(), found)
+    return found.get("answer")
 """
 PARENT = """
-from chamfer_morph.worker import sandbox
-sandbox.run("child", ["while True: pass"], sandbox.Limits(1 << 28, 60),
-            meet=lambda process: print(process.pid, flush=True))
+from chamfer_morph.worker.sandbox import runner
+runner.run("task", {"code": "while True: pass"}, runner.Limits(1 << 28, 60),
+           runner.Wording("It", "end", ""), on_start=lambda child: print(child.pid, flush=True))
 """
+WORDING = Wording("The work", "end", "Do less.")
 
 
 @pytest.fixture(autouse=True)
-def child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A module that runs what it is told within its limits."""
-    (tmp_path / "child.py").write_text(CHILD)
+    (tmp_path / "task.py").write_text(TASK)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
-def test_what_a_child_prints_is_its_answer() -> None:
-    """As a whole, or line by line."""
-    code = "print('one'); print('two')"
-    assert sandbox.run("child", [code], Limits(1 << 28, 10)).split() == [b"one", b"two"]
-    heard: list[bytes] = []
-    assert sandbox.run("child", [code], Limits(1 << 28, 10), hear=heard.append) == b""
-    assert heard == [b"one\n", b"two\n"]
+def run(code: str, limits: Limits, **callbacks) -> Answer:
+    """Run some code as a task."""
+    return runner.run("task", {"code": code}, limits, WORDING, **callbacks)
+
+
+def test_what_a_task_returns_is_its_answer() -> None:
+    """Values and bytes; how far it has come is told meanwhile, and what it prints is no answer."""
+    code = (
+        "report_progress(0.25); print('printed'); sys.stdout.flush(); report_progress(1)\n"
+        "answer = Answer({'one': [1, None]}, bytes(range(256)))"
+    )
+    shares: list[float] = []
+    answer = run(code, Limits(1 << 28, 10), on_progress=shares.append)
+    assert answer == Answer({"one": [1, None]}, bytes(range(256)))
+    assert shares == [0.25, 1]
+    assert run("answer = 'text'", Limits(1 << 28, 10)) == Answer("text")
+
+
+def test_what_a_task_raises_is_raised() -> None:
+    """An error with cause and remedy is of the same kind on the other side."""
+    with pytest.raises(MeshError) as caught:
+        run("raise MeshError('No inside.', 'Close it.')", Limits(1 << 28, 10))
+    assert (caught.value.cause, caught.value.remedy) == ("No inside.", "Close it.")
 
 
 @pytest.mark.parametrize(
-    ("code", "error"),
+    ("code", "error", "words"),
     [
-        ("bytearray(1 << 30)", sandbox.TooMuchMemory),
-        ("while True: pass", sandbox.TooMuchTime),
-        ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", sandbox.Broken),
-        ("import os; os.abort()", sandbox.Broken),
-        ("import os; os.write(2, b'std::bad_alloc'); os.abort()", sandbox.TooMuchMemory),
-        ("import os; os.kill(os.getpid(), 9)", sandbox.Killed),
+        ("bytearray(1 << 30)", ResourceError, "more than 256 MiB of memory to end"),
+        ("while True: pass", ResourceError, "more than 1 s to end"),
+        ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", CrashedError, "status 1"),
+        ("import os; os.abort()", CrashedError, "SIGABRT"),
+        ("import os; os.write(2, b'std::bad_alloc'); os.abort()", ResourceError, "256 MiB"),
+        ("import os; os.kill(os.getpid(), 9)", ResourceError, "killed from outside"),
+        ("import os; os._exit(0)", CrashedError, "status 0"),
     ],
 )
 def test_a_child_that_does_too_much_is_ended(
-    code: str, error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    code: str, error: type[Exception], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each limit by its name, and nothing printed is taken for an answer."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(error):
-        sandbox.run("child", [f"print(1)\n{code}"], Limits(1 << 28, 1, file_bytes=1000))
+    with pytest.raises(error, match=words):
+        run(f"print(1)\n{code}", Limits(1 << 28, 1, file_bytes=1000))
 
 
 def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture) -> None:
     """The end of what it said is logged where it breaks."""
     code = "sys.stderr.write('x' * 300_000 + 'the reason'); sys.exit(3)"
-    with pytest.raises(sandbox.Broken, match="exit status 3"):
-        sandbox.run("child", [code], Limits(1 << 28, 10))
+    with pytest.raises(CrashedError, match="exit status 3"):
+        run(code, Limits(1 << 28, 10))
     assert "the reason" in caplog.text and len(caplog.text) < 20_000
 
 

@@ -1,1 +1,1 @@
-"""What is computed in a process of its own, with little memory and time."""
+"""Tasks for the sandbox: each a module with a function `run`, imported in a child process only."""

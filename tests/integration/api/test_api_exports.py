@@ -21,7 +21,7 @@ from PIL import Image
 from chamfer_morph.client import MorphClient
 from chamfer_morph.client.errors import ServiceError
 from chamfer_morph.server.routes import exports
-from chamfer_morph.worker import sandbox
+from chamfer_morph.worker.sandbox import runner
 from morph_engine.export import FORMATS
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
@@ -47,12 +47,12 @@ def test_the_surface_of_a_frame(api: Api, run: RunRecord, monkeypatch: pytest.Mo
     """Closed, in every format and unit, computed once for all who ask, and kept."""
     started = []
 
-    def counted(*arguments: Any, **options: Any) -> bytes:
+    def counted(*arguments: Any, **options: Any) -> runner.Answer:
         started.append(arguments[0])
         return limited_run(*arguments, **options)
 
-    limited_run = sandbox.run
-    monkeypatch.setattr(sandbox, "run", counted)
+    limited_run = runner.run
+    monkeypatch.setattr(runner, "run", counted)
     path = f"/v1/jobs/{api.running(run)}/frames/0/surface"
     with ThreadPoolExecutor(3) as pool:
         answers = list(pool.map(api.http.get, [path] * 3))

@@ -120,10 +120,10 @@ def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
     path, previews = "/v1/shapes/star/particles?points_per_cell_edge=", api.context.previews
     with ThreadPoolExecutor() as pool:
         first = pool.submit(api.http.get, f"{path}5")
-        while not previews._running:
+        while not previews._flights:
             assert not first.done()
         with pytest.raises(httpx.ReadTimeout):
             api.http.get(f"{path}6", timeout=0.3)
         assert first.result().status_code == 200
     assert api.http.get(f"{path}2").status_code == 200
-    assert {wanted.points_per_cell_edge for wanted in previews._kept} == {5, 2}
+    assert {points_per_cell_edge for _, points_per_cell_edge, _ in previews._cache} == {5, 2}

@@ -1,0 +1,1 @@
+"""What is computed on request, in child processes with limited memory and time."""

@@ -1,0 +1,212 @@
+"""Runs a task in a child process with little memory and time: files can be hostile, work heavy.
+
+A task is a module with a function `run`. The child, `child.py`, reads a line of JSON with its
+arguments and limits from standard input, and writes lines of JSON to standard output: any number of
+`{"progress": share}`, then `{"answer": value, "binary_bytes": n}` with n bytes behind it, or
+`{"error": {"type", "cause", "remedy"}}`. It ends at once when its parent does.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import IO, Any
+
+from pydantic_core import to_json
+
+from chamfer_morph.worker.exit_codes import ExitCode
+from morph_engine.child_process import python_command
+from morph_engine.errors import MorphError, ResourceError, ResultError
+
+MOST_THREADS = 4
+"""Threads of a child's libraries; each of them reserves memory that the limit counts."""
+
+LAST_WORDS = 1 << 14
+"""What is kept of a child's messages [bytes]."""
+
+OnStart = Callable[[subprocess.Popen[bytes]], None]
+"""Called with the child once it has started."""
+
+OnProgress = Callable[[float], None]
+"""Called with the share that is done, from 0 to 1."""
+
+log = logging.getLogger(__name__)
+
+
+class CrashedError(ResultError):
+    """A child has died in a way that it did not choose.
+
+    Attributes:
+        reason: How.
+    """
+
+    def __init__(self, subject: str, reason: str) -> None:
+        super().__init__(f"{subject} has broken off ({reason}).", "Try it again.")
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a child may take.
+
+    Attributes:
+        memory_bytes: Memory beyond that of the program itself [bytes].
+        cpu_seconds: CPU time, summed over threads [s].
+        file_bytes: Size of any file that it writes [bytes].
+        threads: Threads of the libraries that it calls.
+    """
+
+    memory_bytes: int
+    cpu_seconds: int
+    file_bytes: int = 0
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Wording:
+    """What a task does, in the words of a user.
+
+    Attributes:
+        subject: What it works on, as the beginning of a sentence: "The surface".
+        verb: What it does with it, as the end of one: "compute".
+        remedy: How it would take less memory and time.
+    """
+
+    subject: str
+    verb: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a task returns.
+
+    Attributes:
+        value: Anything that JSON can hold.
+        binary: Bytes that go with it.
+    """
+
+    value: Any = None
+    binary: bytes = b""
+
+
+def run(
+    task: str,
+    arguments: Mapping[str, Any],
+    limits: Limits,
+    wording: Wording,
+    *,
+    on_start: OnStart | None = None,
+    on_progress: OnProgress | None = None,
+) -> Answer:
+    """Run a task to its end; blocks.
+
+    Args:
+        task: Its module, whose function `run` is called.
+        arguments: What it is called with, by name; anything that JSON can hold.
+        limits: What it may take.
+        wording: What it does.
+        on_start: Called with the child.
+        on_progress: Called with the share that is done.
+
+    Returns:
+        What the function returns.
+
+    Raises:
+        ResourceError: It has reached a limit, or was killed from outside.
+        CrashedError: It has ended otherwise without an answer.
+        MorphError: As the function raises it.
+    """
+    process = subprocess.Popen(
+        python_command("chamfer_morph.worker.sandbox.child", task),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | _environment(limits),
+        start_new_session=True,
+    )
+    assert process.stdin is not None and process.stderr is not None
+    if on_start is not None:
+        on_start(process)
+    last_words = bytearray()
+    listener = threading.Thread(target=_keep_end, args=(process.stderr, last_words), daemon=True)
+    listener.start()
+    late = threading.Event()
+    alarm = threading.Timer(2 * limits.cpu_seconds + 10, _kill, (process, late))
+    alarm.start()
+    try:
+        with process:
+            with suppress(BrokenPipeError):  # it has died already; its status tells why
+                process.stdin.write(to_json({"arguments": arguments, "limits": asdict(limits)}))
+                process.stdin.write(b"\n")
+                process.stdin.flush()  # it stays open, for the child ends with it
+            answer = _read_answer(process, on_progress)
+            status = process.wait()
+            listener.join()
+    finally:
+        alarm.cancel()
+    if late.is_set() or -status == signal.SIGXCPU:
+        amount = f"{limits.cpu_seconds} s"
+        raise _too_much(wording, amount)
+    if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in last_words):
+        raise _too_much(wording, f"{limits.memory_bytes >> 20} MiB of memory")
+    if -status == signal.SIGKILL:
+        raise ResourceError(
+            f"{wording.subject} is not there, because its process was killed from outside.",
+            "Ask again; if it is killed again, the machine has too little memory.",
+        )
+    if status or answer is None:
+        how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+        log.warning("%s: %s: %s", task, how, last_words.decode(errors="replace"))
+        raise CrashedError(wording.subject, how)
+    if isinstance(answer, MorphError):
+        raise answer
+    return answer
+
+
+def _environment(limits: Limits) -> dict[str, str]:
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")
+    return dict.fromkeys(names, str(limits.threads)) | {"MALLOC_ARENA_MAX": "2"}
+
+
+def _read_answer(
+    process: subprocess.Popen[bytes], on_progress: OnProgress | None
+) -> Answer | MorphError | None:
+    """What a child answers, or the error it raises; None where it dies before."""
+    assert process.stdout is not None
+    answer: Answer | MorphError | None = None
+    with suppress(ValueError):  # it died within a line
+        for line in process.stdout:
+            match json.loads(line):
+                case {"progress": share} if on_progress is not None:
+                    on_progress(share)
+                case {"answer": value, "binary_bytes": size}:
+                    answer = Answer(value, process.stdout.read(size))
+                case {"error": {"type": name, "cause": cause, "remedy": remedy}}:
+                    kinds = {kind.__name__: kind for kind in MorphError.__subclasses__()}
+                    answer = kinds.get(name, MorphError)(cause, remedy)
+    return answer
+
+
+def _too_much(wording: Wording, amount: str) -> ResourceError:
+    cause = f"{wording.subject} takes more than {amount} to {wording.verb}."
+    return ResourceError(cause, wording.remedy)
+
+
+def _keep_end(stream: IO[bytes], end: bytearray) -> None:
+    """Keep the end of what a child writes, so that it never waits for a reader."""
+    while read := stream.read1(LAST_WORDS):  # type: ignore[attr-defined]
+        end += read
+        del end[:-LAST_WORDS]
+
+
+def _kill(process: subprocess.Popen[bytes], late: threading.Event) -> None:
+    late.set()
+    process.kill()
