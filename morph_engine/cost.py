@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 STARTUP_SECONDS = 8.0
 MEGABYTES_AT_REST = 300.0
@@ -37,10 +37,8 @@ RATES = {
 """Of single methods; every other method costs what `PHYSICS` says."""
 
 
-class Estimate(BaseModel):
+class Estimate(BaseModel, frozen=True):
     """Expected cost of a run."""
-
-    model_config = ConfigDict(frozen=True)
 
     seconds: float = Field(ge=0, description="Wall-clock time of the whole run [s]")
     memory_mb: float = Field(ge=0, description="Peak resident memory [MB]")

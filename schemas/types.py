@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
 Scope = Literal["read", "submit", "admin"]
@@ -19,7 +19,5 @@ Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]
 
 
-class Request(BaseModel):
+class Request(BaseModel, extra="forbid", strict=True):
     """Base of request bodies: unknown fields and other types are errors."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from chamfer_morph.schemas import Device, Problem, Shape
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 
 
-class JobSpec(BaseModel):
+class JobSpec(BaseModel, frozen=True, extra="forbid"):
     """Everything that a job needs, fixed when it is submitted."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     source: Shape
     target: Shape

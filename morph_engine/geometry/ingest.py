@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import MeshError
@@ -29,20 +29,16 @@ PROBE_COUNT = 20_000
 PROBES_PER_AXIS = 64
 
 
-class Resolution(BaseModel):
+class Resolution(BaseModel, frozen=True):
     """What a run costs at one number of particles per cell edge."""
-
-    model_config = ConfigDict(frozen=True)
 
     points_per_cell_edge: int
     particle_count: int = Field(description="Particles of the published lattice")
     estimate: Estimate = Field(description="Cost of a run against a target of the usual size")
 
 
-class IngestReport(BaseModel):
+class IngestReport(BaseModel, frozen=True):
     """What the engine sees in a mesh; lengths in the mesh's coordinates."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     sha256: str
