@@ -14,20 +14,18 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 from ctypes.util import find_library
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-import taichi as ti
-from taichi.lang.misc import is_arch_supported
+ti = lazy.load("taichi")  # which takes a second; not every use of the package computes
 
 Precision = Literal["float32", "float64"]
 
@@ -165,7 +163,7 @@ def _is_available(name: str) -> bool:
     # Taichi logs a warning when asked about CUDA without its driver library, so look first.
     if name == "cuda" and find_library("cuda") is None:
         return False
-    return bool(is_arch_supported(getattr(ti, name)))
+    return bool(ti.lang.misc.is_arch_supported(getattr(ti, name)))
 
 
 def _choose(device: str) -> str:

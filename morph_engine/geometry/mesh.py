@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
-import trimesh
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.topology import signed_volume
+
+trimesh = lazy.load("trimesh")
 
 FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
 FILE_BYTES_LIMIT = 256 * 2**20

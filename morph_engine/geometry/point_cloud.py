@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from morph_engine.errors import MeshError
 
@@ -61,7 +61,7 @@ def target_points(target: npt.ArrayLike) -> Points:
 def distance_to_other(
     distinct: Points,
     copies: npt.NDArray[np.intp],
-    tree: cKDTree,
+    tree: scipy.spatial.cKDTree,
     *,
     bound: float = math.inf,
     workers: int = 1,

@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import igl
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
+
+igl = lazy.load("igl")
 
 Jitter = Literal["published", "none"]
 Fit = Literal["volume", "extent", "none"]

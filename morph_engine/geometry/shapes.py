@@ -6,33 +6,23 @@ them hold nearly the same number of particles, and is centred in the domain, y u
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Sequence
-from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
-import matplotlib
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
-import trimesh
-from matplotlib.ft2font import FT2Font
-from matplotlib.path import Path as Outline
-from scipy.interpolate import PchipInterpolator
-from shapely import MultiPolygon, Polygon
-from shapely.affinity import scale, translate
+import scipy
 
 from morph_engine.errors import MeshError, unknown_name
 from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
-from morph_engine.geometry.sampling import REFERENCE_VOLUME, fit_to_domain
+from morph_engine.geometry.sampling import fit_to_domain
+
+trimesh = lazy.load("trimesh")
 
 TEXT_PREFIX = "text:"
 TEXT_LIMIT = 60
-TEXT_SPAN = 26.0
-"""Width or height of a text [grid units]."""
-
-FONT_SIZE = 100.0
-LINE_HEIGHT = 1.15 * FONT_SIZE
 
 Floats = npt.NDArray[np.float64]
 
@@ -148,7 +138,7 @@ def _tube(curve: Sequence[tuple[float, float]], radii: Sequence[float]) -> Mesh:
     centre = np.pad(_bezier(control, t), ((0, 0), (0, 1)))
     x, y = _bezier(np.diff(control, axis=0), t).T
     normal = np.stack([-y, x, np.zeros_like(x)], axis=1) / np.hypot(x, y)[:, None]
-    radius = PchipInterpolator(np.linspace(0, 1, len(radii)), radii)(t)
+    radius = scipy.interpolate.PchipInterpolator(np.linspace(0, 1, len(radii)), radii)(t)
     angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)[:, None]
     circle = normal[:, None] * np.cos(angle) + np.sin(angle) * [0, 0, 1]
     return _loft(centre[:, None] + radius[:, None] * circle, centre[[0, -1]])
@@ -167,7 +157,7 @@ def _smooth(points: Sequence[tuple[float, float]], count: int) -> Floats:
     knots = np.asarray(points, np.float64)
     length = np.linalg.norm(np.diff(knots, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(length)])
-    curve: Floats = PchipInterpolator(at, knots)(np.linspace(0, at[-1], count))
+    curve: Floats = scipy.interpolate.PchipInterpolator(at, knots)(np.linspace(0, at[-1], count))
     return curve
 
 
@@ -198,55 +188,15 @@ def _join(parts: Sequence[Mesh]) -> Mesh:
 
 
 def _text(text: str) -> Mesh:
-    """Extrude a text, broken into the lines that make it largest."""
-    words = text.split()
-    if not words or len(text) > TEXT_LIMIT:
+    """A text as extruded letters."""
+    if not text.split() or len(text) > TEXT_LIMIT:
         raise MeshError(
             f"A text shape has from 1 to {TEXT_LIMIT} characters, not only spaces.",
             "Write for instance text:Hello.",
         )
-    layouts = {
-        tuple(textwrap.wrap(text, width, break_long_words=False))
-        for width in range(max(map(len, words)), len(text) + 1)
-    }
-    outline = min((_outline(lines) for lines in sorted(layouts)), key=_span)
-    if outline.is_empty:
-        raise MeshError("None of these characters leaves a mark.", "Write for instance text:Hello.")
-    size = TEXT_SPAN / _span(outline)
-    outline = scale(outline, size, size, origin=(0, 0))
-    line = LINE_HEIGHT * size
-    depth = float(np.clip(REFERENCE_VOLUME / outline.area, line / 4, 0.8 * line))
-    letters = [trimesh.creation.extrude_polygon(part, depth) for part in outline.geoms]
-    return _join([make_mesh(part.vertices, part.faces, name=text) for part in letters])
+    from morph_engine.geometry.text import extruded_letters  # Matplotlib takes its time
 
-
-def _outline(lines: Sequence[str]) -> MultiPolygon:
-    """Outline of centred lines of DejaVu Sans Bold, the typeface that comes with Matplotlib."""
-    font = FT2Font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf")))
-    font.set_size(FONT_SIZE, 72)
-    letters = []
-    for row, line in enumerate(lines):
-        x = 0.0
-        placed = []
-        for character in line:
-            if not font.get_char_index(ord(character)):
-                raise MeshError(
-                    f"The typeface has no letter {character!r}.", "Use other characters."
-                )
-            glyph = font.load_char(ord(character))
-            contours = Outline(*font.get_path()).to_polygons()
-            shape = reduce(Polygon.symmetric_difference, map(Polygon, contours), Polygon())
-            placed.append(translate(shape, x, -row * LINE_HEIGHT))
-            x += glyph.linearHoriAdvance / 65536
-        letters += [translate(shape, -x / 2) for shape in placed]
-    return MultiPolygon(
-        [part for letter in letters for part in getattr(letter, "geoms", [letter]) if part.area]
-    )
-
-
-def _span(outline: MultiPolygon) -> float:
-    left, bottom, right, top = outline.bounds
-    return float(max(right - left, top - bottom))
+    return _join(extruded_letters(text))
 
 
 _SHAPES: dict[str, Callable[[], Mesh]] = {

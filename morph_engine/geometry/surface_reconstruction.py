@@ -15,9 +15,8 @@ import igl
 import numpy as np
 import numpy.typing as npt
 import pysplashsurf
+import scipy
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
@@ -87,8 +86,10 @@ class Surface:
         """Index of the part each face belongs to, shape [F]."""
         start, end = self.faces.reshape(-1), np.roll(self.faces, -1, axis=1).reshape(-1)
         count = len(self.vertices)
-        graph = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
-        part_of_vertex = connected_components(graph, directed=False)[1]
+        graph = scipy.sparse.coo_array(
+            (np.ones(len(start), np.int8), (start, end)), shape=(count, count)
+        )
+        part_of_vertex = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
         part: npt.NDArray[np.intp] = np.unique(
             part_of_vertex[self.faces[:, 0]], return_inverse=True
         )[1]

@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 WELD_TOLERANCE = 1e-6
 """Vertices closer than this share of the mesh's size count as one (STL stores each face apart)."""
@@ -104,8 +103,8 @@ def _components(
     """Vertices of a graph in ascending order, and the component that each belongs to."""
     used, ends = np.unique(edges, return_inverse=True)
     a, b = ends.reshape(-1, 2).T
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(used), len(used)))
-    return used, connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(used), len(used)))
+    return used, scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def _opening(ends: npt.NDArray[np.float64]) -> Opening:

@@ -1,1 +1,5 @@
-"""Every number that is reported, defined once."""
+"""Every number that is reported: what it means, and how it is computed."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from morph_engine.geometry.point_cloud import (
     distance_to_other,
@@ -63,10 +63,10 @@ def chamfer_metrics(
         return _worst() | escaped
 
     distinct, copies = np.unique(points, axis=0, return_counts=True)
-    tree = cKDTree(distinct)
+    tree = scipy.spatial.cKDTree(distinct)
 
     if d_fwd is None or nearest_fwd is None:
-        forward, nearest = cKDTree(goal).query(points, workers=workers)
+        forward, nearest = scipy.spatial.cKDTree(goal).query(points, workers=workers)
     else:
         forward, nearest = np.asarray(d_fwd)[finite], np.asarray(nearest_fwd)[finite]
     if d_rev is None:

@@ -12,10 +12,10 @@ import math
 from itertools import product
 from typing import TYPE_CHECKING
 
-import igl
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from morph_engine.geometry.point_cloud import Points, finite_points, target_points
 from morph_engine.geometry.sampling import inside
@@ -23,6 +23,8 @@ from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
+
+igl = lazy.load("igl")
 
 __all__ = ["density_ratio", "fill_metrics", "outside_metrics"]
 
@@ -157,7 +159,9 @@ def density_ratio(points: Points, goal: Points, *, radius: float = 1.0, workers:
         rho_j: particles over target points within the radius, over N / M; shape [m], float64.
     """
     here, wanted = (
-        cKDTree(cloud).query_ball_point(goal, radius, return_length=True, workers=workers)
+        scipy.spatial.cKDTree(cloud).query_ball_point(
+            goal, radius, return_length=True, workers=workers
+        )
         for cloud in (points, goal)
     )
     ratio: Points = (here / wanted) * (len(goal) / len(points))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from morph_engine.errors import ResultError, unknown_name
 from morph_engine.geometry.point_cloud import (
@@ -149,8 +149,8 @@ class _Frame:
     workers: int
 
     @cached_property
-    def target_tree(self) -> cKDTree:
-        return cKDTree(self.target)
+    def target_tree(self) -> scipy.spatial.cKDTree:
+        return scipy.spatial.cKDTree(self.target)
 
     @property
     def spacing(self) -> float:
@@ -194,7 +194,7 @@ def _density(frame: _Frame) -> Points:
     Where the target is absent there is nothing to compare with, and half of a full ball is
     expected, which is what a particle at a free surface sees; one at a corner then counts as thin.
     """
-    count, tree = frame.workers, cKDTree(frame.points)
+    count, tree = frame.workers, scipy.spatial.cKDTree(frame.points)
     here, wanted = (
         cloud.query_ball_point(frame.points, DENSITY_RADIUS, return_length=True, workers=count)
         for cloud in (tree, frame.target_tree)
@@ -215,7 +215,9 @@ def _overlap(frame: _Frame) -> Points:
     distinct, which, copies = np.unique(
         frame.points, axis=0, return_inverse=True, return_counts=True
     )
-    gap = distance_to_other(distinct, copies, cKDTree(distinct), workers=frame.workers)
+    gap = distance_to_other(
+        distinct, copies, scipy.spatial.cKDTree(distinct), workers=frame.workers
+    )
     overlap: Points = gap[which.reshape(-1)] / frame.spacing
     return overlap
 

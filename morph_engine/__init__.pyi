@@ -1,0 +1,10 @@
+from . import methods as methods
+from . import metrics as metrics
+from .config import MorphConfig as MorphConfig
+from .errors import MorphError as MorphError
+from .geometry.mesh import Mesh as Mesh
+from .geometry.mesh import load_mesh as load_mesh
+from .morphing import Frame as Frame
+from .morphing import morph as morph
+from .presets import configure as configure
+from .results.trajectory import Trajectory as Trajectory

@@ -1,0 +1,9 @@
+from .chamfer import COVERING_RADIUS_OVER_H as COVERING_RADIUS_OVER_H
+from .chamfer import chamfer_metrics as chamfer_metrics
+from .definitions import METRICS as METRICS
+from .definitions import MetricDefinition as MetricDefinition
+from .deformation import deformation_metrics as deformation_metrics
+from .deformation import determinants as determinants
+from .volume import density_ratio as density_ratio
+from .volume import fill_metrics as fill_metrics
+from .volume import outside_metrics as outside_metrics
