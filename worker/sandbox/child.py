@@ -18,6 +18,9 @@ from chamfer_morph.worker.sandbox.runner import Answer, Limits
 from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError
 
+ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph", "morph_engine.geometry.text")
+"""What the engine imports when it first needs it: memory of the program, not of a task."""
+
 
 class Channel:
     """The way back to the parent: standard output, on which nobody else writes from now on."""
@@ -52,6 +55,8 @@ def main(module: str) -> None:
     exit_with_parent(ExitCode.ORPHANED)
     channel = Channel()
     function = importlib.import_module(module).run
+    for name in ENGINE_IMPORTS:
+        importlib.import_module(name)
     arguments = request["arguments"]
     if "report_progress" in inspect.signature(function).parameters:
         arguments["report_progress"] = channel.report_progress
