@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.service.local_service import LocalService
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.tables import create
-from chamfer_morph.worker.queue import database
+from chamfer_morph.worker.dbos_adapter import database
 
 CONTRACT = Path(__file__).resolve().parents[1] / "openapi"
 

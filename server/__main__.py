@@ -71,7 +71,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
 
     check_keys(settings, api_keys)
     if arguments.command == "check":
-        from chamfer_morph.worker.queue import migrate
+        from chamfer_morph.worker.dbos_adapter import migrate
 
         migrate(settings)
     else:
@@ -87,7 +87,7 @@ def _api_keys(settings: Settings) -> ApiKeyStore:
     """The keys, in tables that exist."""
     from chamfer_morph.server.database.api_keys import ApiKeyStore
     from chamfer_morph.server.database.tables import create
-    from chamfer_morph.worker.queue import database
+    from chamfer_morph.worker.dbos_adapter import database
     from chamfer_morph.worker.storage import Storage
 
     Storage(settings.data_dir)

@@ -14,10 +14,10 @@ from chamfer_morph.worker import slots
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 
-LOOK_SECONDS = 0.05
-HEARTBEAT_SECONDS = 4.0
+POLL_SECONDS = 0.05
+LOCK_CHECK_SECONDS = 4.0
 ADOPTION_LIMIT_SECONDS = 60
-ADOPTION_PATIENCE_SECONDS = 10.0
+LOCK_TIMEOUT_SECONDS = 10.0
 """A worker that comes back waits so long for a janitor that adopts its jobs under its name."""
 
 
@@ -62,7 +62,7 @@ def adopt(settings: Settings, executor: str) -> None:
     launch(settings, executor, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
     while executor in queue.running():
-        time.sleep(LOOK_SECONDS)
+        time.sleep(POLL_SECONDS)
     os._exit(0)
 
 
@@ -76,20 +76,20 @@ def run_slot(settings: Settings, executor: str) -> None:
     Storage(settings.data_dir)
     queue = JobQueue(settings)
     queue.migrate()
-    lock = wait_for_lock(settings, executor, ADOPTION_PATIENCE_SECONDS)
+    lock = wait_for_lock(settings, executor, LOCK_TIMEOUT_SECONDS)
     if lock is None:
         sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
-    slots.introduce(settings.data_dir, executor)
+    slots.register(settings.data_dir, executor)
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(settings.data_dir, executor)
     if not paused:
         launch(settings, executor)
-    last_beat = time.monotonic()
+    last_check = time.monotonic()
     while not ended.wait(0.5):
-        if time.monotonic() - last_beat > HEARTBEAT_SECONDS:
-            last_beat = time.monotonic()
+        if time.monotonic() - last_check > LOCK_CHECK_SECONDS:
+            last_check = time.monotonic()
             if not lock.held():
                 os._exit(1)  # somebody else may take its jobs: stop at once
         if paused and not slots.is_paused(settings.data_dir, executor):

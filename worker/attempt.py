@@ -1,4 +1,4 @@
-"""One attempt at a job, seen from its worker: start the engine, follow it, explain its end."""
+"""One attempt at a job, as its worker sees it: start the engine, follow it, explain its end."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from typing import Any
 import psutil
 
 from chamfer_morph.schemas import Outcome, Problem
-from chamfer_morph.worker.heartbeat import BEAT, STOP
+from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
 from chamfer_morph.worker.settings import Settings
 from morph_engine.child_process import python_command
 
-BEAT_SECONDS = 1.0
-GRACE_SECONDS = 1.5
-LOG_TAIL = 2000
+HEARTBEAT_SECONDS = 1.0
+STOP_SECONDS = 1.5
+LOG_TAIL_BYTES = 2000
 
 
 class AttemptFailed(Exception):
@@ -45,18 +45,18 @@ class AttemptFailed(Exception):
 
 
 @dataclass
-class _Seen:
-    """What has been seen of an engine process."""
+class _EngineState:
+    """What is known of an engine process."""
 
     outcome: Outcome | None = None
     problem: Problem | None = None
     frames: int = 0
-    last_sign: float = field(default_factory=time.monotonic)
+    last_message_at: float = field(default_factory=time.monotonic)
     peak_memory: int = 0
 
 
 async def run_attempt(
-    job_dir: Path, attempt: int, settings: Settings, beat: Callable[[], Awaitable[None]]
+    job_dir: Path, attempt: int, settings: Settings, heartbeat: Callable[[], Awaitable[None]]
 ) -> Outcome:
     """Run the engine on a job directory until it is done.
 
@@ -64,7 +64,7 @@ async def run_attempt(
         job_dir: The job's directory, with spec.json.
         attempt: Number of the attempt, from 1.
         settings: Threads and patience.
-        beat: Called every second; what it raises ends the attempt (the job was cancelled, or
+        heartbeat: Called every second; what it raises ends the attempt (the job was cancelled, or
             belongs to another worker by now).
 
     Returns:
@@ -82,23 +82,25 @@ async def run_attempt(
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log,
             start_new_session=True,
         )  # fmt: skip
-    seen = _Seen()
-    listener = asyncio.create_task(_listen(process, seen))
+    engine = _EngineState()
+    reader = asyncio.create_task(_read_messages(process, engine))
     try:
-        while not listener.done():
-            await asyncio.wait({listener}, timeout=BEAT_SECONDS)
-            await beat()
-            _send(process, BEAT)
-            seen.peak_memory = max(seen.peak_memory, _memory(process.pid))
-            if time.monotonic() - seen.last_sign > settings.stall_seconds:
-                raise AttemptFailed(_hang(settings), seen.frames)
+        while not reader.done():
+            await asyncio.wait({reader}, timeout=HEARTBEAT_SECONDS)
+            await heartbeat()
+            _send(process, HEARTBEAT)
+            engine.peak_memory = max(engine.peak_memory, _memory(process.pid))
+            if time.monotonic() - engine.last_message_at > settings.stall_seconds:
+                raise AttemptFailed(_hang(settings), engine.frames)
         status = await process.wait()
     except BaseException:
-        await _end(process, listener)
+        await _stop(process, reader)
         raise
-    if seen.outcome is not None:
-        return seen.outcome
-    raise AttemptFailed(seen.problem or _crash(status, seen, job_dir / "log.txt"), seen.frames)
+    if engine.outcome is not None:
+        return engine.outcome
+    raise AttemptFailed(
+        engine.problem or _crash(status, engine, job_dir / "log.txt"), engine.frames
+    )
 
 
 def threads_per_job(settings: Settings) -> int:
@@ -106,37 +108,37 @@ def threads_per_job(settings: Settings) -> int:
     return settings.threads or max(1, (os.cpu_count() or 1) // max(1, settings.workers))
 
 
-async def _listen(process: asyncio.subprocess.Process, seen: _Seen) -> None:
+async def _read_messages(process: asyncio.subprocess.Process, engine: _EngineState) -> None:
     """Read what the engine process says until it ends."""
     assert process.stdout is not None
     async for line in process.stdout:
         with contextlib.suppress(ValueError):  # anything else that was printed
             message: dict[str, Any] = json.loads(line)
-            seen.last_sign = time.monotonic()
+            engine.last_message_at = time.monotonic()
             match message["type"]:
                 case "frame":
-                    seen.frames += 1
+                    engine.frames += 1
                 case "done":
-                    seen.outcome = Outcome.model_validate(message["data"])
+                    engine.outcome = Outcome.model_validate(message["data"])
                 case "failed":
-                    seen.problem = Problem.model_validate(message["data"])
+                    engine.problem = Problem.model_validate(message["data"])
 
 
-async def _end(process: asyncio.subprocess.Process, listener: asyncio.Task[None]) -> None:
+async def _stop(process: asyncio.subprocess.Process, reader: asyncio.Task[None]) -> None:
     """Ask the engine process to keep its frames and end; kill it if it takes long.
 
     DBOS may cancel the task that waits here, too; the engine gets its time all the same.
     """
     _send(process, STOP)
     ended = asyncio.ensure_future(process.wait())
-    deadline = time.monotonic() + GRACE_SECONDS
+    deadline = time.monotonic() + STOP_SECONDS
     while not ended.done() and time.monotonic() < deadline:
         with contextlib.suppress(asyncio.CancelledError):
             await asyncio.wait({ended}, timeout=deadline - time.monotonic())
     if not ended.done():
         with contextlib.suppress(ProcessLookupError):
             process.kill()
-    listener.cancel()
+    reader.cancel()
 
 
 def _send(process: asyncio.subprocess.Process, message: bytes) -> None:
@@ -160,9 +162,9 @@ def _hang(settings: Settings) -> Problem:
     )
 
 
-def _crash(status: int, seen: _Seen, log: Path) -> Problem:
+def _crash(status: int, engine: _EngineState, log: Path) -> Problem:
     """Say of an engine process that ended without a word how it ended."""
-    megabytes = seen.peak_memory / 1e6
+    megabytes = engine.peak_memory / 1e6
     if status == -signal.SIGKILL:
         return Problem(
             cause=f"The engine was killed (signal 9) while it used {megabytes:,.0f} MB of memory.",
@@ -186,6 +188,6 @@ def _crash(status: int, seen: _Seen, log: Path) -> Problem:
 def _last_line(log: Path) -> str:
     """The last line of a log that says something."""
     with log.open("rb") as file:
-        file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL, 0))
+        file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES, 0))
         lines = file.read().decode(errors="replace").split("\n")
     return next((line.strip() for line in reversed(lines) if line.strip()), "")

@@ -48,16 +48,16 @@ def main(job_dir: Path, attempt: int, threads: int) -> None:
     try:
         spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
         outcome = _compute(storage, job_dir.name, spec, attempt, threads)
-        _say("done", outcome.model_dump())
+        _send("done", outcome.model_dump())
     except MorphError as error:
-        _say("failed", problem_of(error).model_dump())
+        _send("failed", problem_of(error).model_dump())
     except MemoryError:
         problem = Problem(
             cause="The engine ran out of memory.",
             remedy="Lower the points per cell edge, or run fewer jobs at a time.",
             kind="resources",
         )
-        _say("failed", problem.model_dump())
+        _send("failed", problem.model_dump())
     finally:
         lock.close()
 
@@ -73,17 +73,17 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         record = prepare(storage.resolve(spec.source), storage.resolve(spec.target), config)
     frames = int(record.config["frames"])
     resumed = _checkpointed(out) if resume else 0
-    told = {event.data["frame"] for event in log.read(limit=10**9) if event.type == "frame"}
+    logged = {event.data["frame"] for event in log.read(limit=10**9) if event.type == "frame"}
     log.append("attempt", {"attempt": attempt, "resumed_frames": resumed})
-    _say("started", {"resumed_frames": resumed})
+    _send("started", {"resumed_frames": resumed})
     for frame in run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True
     ):
-        if frame.index >= resumed or frame.index not in told:
+        if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:
                 log.append("watchdog", dict(event.document()))
-            log.append("frame", _frame(frame, frames, attempt))
-            _say("frame", {"frame": frame.index})
+            log.append("frame", _frame_event(frame, frames, attempt))
+            _send("frame", {"frame": frame.index})
     return _outcome(out)
 
 
@@ -134,7 +134,7 @@ def _outcome(out: Path) -> Outcome:
     )
 
 
-def _frame(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:
+def _frame_event(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:
     return {
         "frame": frame.index,
         "frames": frames,
@@ -157,7 +157,7 @@ def _watch_worker(out: Path) -> None:
             os._exit(ExitCode.ORPHANED)
 
 
-def _say(type: str, data: dict[str, Any]) -> None:
+def _send(type: str, data: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps({"type": type, "data": data}) + "\n")
     sys.stdout.flush()
 

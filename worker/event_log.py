@@ -43,10 +43,10 @@ class EventLog:
     def version(self) -> tuple[int, int]:
         """What changes with every event: when the file was written [ns], and its size [bytes]."""
         try:
-            seen = os.stat(self.path)
+            status = os.stat(self.path)
         except FileNotFoundError:
             return 0, 0
-        return seen.st_mtime_ns, seen.st_size
+        return status.st_mtime_ns, status.st_size
 
     def append(self, type: str, data: dict[str, Any]) -> None:
         """Add an event, in one write, so that a kill leaves whole lines and at most one torn end.
@@ -100,11 +100,11 @@ def _parsed(number: int, line: bytes) -> list[LoggedEvent]:
 def _finite(value: Any) -> Any:
     """JSON has no NaN and no infinity: leave such numbers out."""
     if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items() if not _is_odd(inner)}
+        return {key: _finite(inner) for key, inner in value.items() if not _is_not_finite(inner)}
     if isinstance(value, list | tuple):
-        return [None if _is_odd(inner) else _finite(inner) for inner in value]
+        return [None if _is_not_finite(inner) else _finite(inner) for inner in value]
     return value
 
 
-def _is_odd(value: Any) -> bool:
+def _is_not_finite(value: Any) -> bool:
     return isinstance(value, float) and not math.isfinite(value)

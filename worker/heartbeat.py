@@ -1,6 +1,6 @@
-"""What a worker sends its engine process on standard input, a byte at a time."""
+"""What a worker sends its engine process on standard input, a byte each."""
 
-BEAT = b"."
+HEARTBEAT = b"."
 """The worker lives."""
 
 STOP = b"s"

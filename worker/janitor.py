@@ -63,18 +63,18 @@ def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
     storage = Storage(settings.data_dir)
     deleted = []
     for record in _finished(queue):
-        if _is_expired(settings, record) and delete_at_rest(queue, storage, record):
+        if _is_expired(settings, record) and delete_if_unchanged(queue, storage, record):
             deleted.append(record.id)
     if settings.retention_bytes:
         kept = 0
         for record in _finished(queue):
             kept += storage.job_bytes(record.id)
-            if kept > settings.retention_bytes and delete_at_rest(queue, storage, record):
+            if kept > settings.retention_bytes and delete_if_unchanged(queue, storage, record):
                 deleted.append(record.id)
     return deleted
 
 
-def delete_at_rest(queue: JobQueue, storage: Storage, record: JobRecord) -> bool:
+def delete_if_unchanged(queue: JobQueue, storage: Storage, record: JobRecord) -> bool:
     """Delete a finished job, unless somebody has resumed, retried or deleted it since its record
     was read.
 

@@ -1,4 +1,4 @@
-"""The queue as the API sees it: jobs in, their state out. With `workflow.py`, all that knows DBOS.
+"""The queue as the API sees it: jobs in, their state out.
 
 A job is a DBOS workflow. Its status, input, result and error live in the workflow's row and nowhere
 else; owner, name and the like are attributes of that row.
@@ -11,9 +11,7 @@ decide which of their jobs takes which of their places.
 
 from __future__ import annotations
 
-import sqlite3
-import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
@@ -21,7 +19,6 @@ from typing import Any
 
 import sqlalchemy as sa
 from dbos import (
-    DBOS,
     DBOSClient,
     PortableWorkflowError,
     WorkflowSerializationFormat,
@@ -30,6 +27,7 @@ from dbos import (
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.worker.dbos_adapter import WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state, statuses
 from chamfer_morph.worker.settings import Settings
@@ -39,10 +37,7 @@ APPLICATION = "morph"
 APPLICATION_VERSION = "1"
 WORKFLOW = "morph"
 QUEUE = "jobs"
-CONNECTIONS = 10
-"""Connections to the database that a process keeps open; opening one costs more than a query."""
-
-RECORDS_KEPT = 4096
+RECORD_CACHE_SIZE = 4096
 """Jobs that a process remembers as it read them last."""
 
 NOBODY = "-"
@@ -94,14 +89,15 @@ class JobQueue:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._engine = database(settings)
-        self._reader = database(settings, lone_queries=True)
         self._client = DBOSClient(
             system_database_url=settings.system_database_url,
             system_database_engine=self._engine,
             application_name=APPLICATION,
             lazy=True,
         )
-        self._read: dict[str, tuple[list[Any], JobRecord]] = {}
+        self._workflows = WorkflowTable(self._client, settings)
+        self._rows = self._workflows.rows
+        self._cache: dict[str, tuple[list[Any], JobRecord]] = {}
 
     def migrate(self) -> None:
         """Create or upgrade the tables and the queue; harmless to repeat."""
@@ -281,7 +277,7 @@ class JobQueue:
     def close(self) -> None:
         """Give the connections back."""
         self._client.destroy()
-        self._reader.dispose()
+        self._workflows.close()
         self._engine.dispose()
 
     def _next_place(self, owner: str) -> int:
@@ -321,7 +317,7 @@ class JobQueue:
         jobs = self._rows(query.order_by(t.c.created_at, t.c.workflow_uuid))
         places = sorted(place for _, place, _ in jobs)
         wanted = sorted(jobs, key=lambda job: job[2])
-        with self._client._sys_db.engine.begin() as connection:
+        with self._workflows.begin() as connection:
             for (job_id, place, _), better in zip(wanted, places, strict=True):
                 if place != better:
                     connection.execute(
@@ -346,81 +342,25 @@ class JobQueue:
         self, query: sa.Select[Any], values: Mapping[str, Any] | None = None
     ) -> list[JobRecord]:
         """The jobs of a query for versions; those that have not changed are not read again."""
-        if len(self._read) > RECORDS_KEPT:
-            self._read = {}
-        read, rows = self._read, self._rows(query, values)
-        changed = [i for i, *version in rows if i not in read or read[i][0] != version]
+        if len(self._cache) > RECORD_CACHE_SIZE:
+            self._cache = {}
+        cache, rows = self._cache, self._rows(query, values)
+        changed = [i for i, *version in rows if i not in cache or cache[i][0] != version]
         if changed:
             for status in self._client.list_workflows(workflow_ids=changed, name=WORKFLOW):
                 version = [status.status, status.executor_id, status.updated_at]
-                read[status.workflow_id] = version, _record(status)
-        return [read[job_id][1] for job_id, *_ in rows if job_id in read]
+                cache[status.workflow_id] = version, _record(status)
+        return [cache[job_id][1] for job_id, *_ in rows if job_id in cache]
 
     @property
     def _table(self) -> sa.Table:
-        return self._client._sys_db.tables.workflow_status
+        return self._workflows.table
 
     @property
     def _late(self) -> sa.ColumnElement[bool]:
         """Whether a workflow ended after its deadline."""
         t = self._table
         return sa.func.coalesce(t.c.completed_at >= t.c.workflow_deadline_epoch_ms, sa.false())
-
-    def _rows(self, query: Any, values: Mapping[str, Any] | None = None) -> Sequence[Any]:
-        """The rows of a query; asked again if its connection turns out to have died in the pool."""
-        try:
-            return self._rows_now(query, values)
-        except sa.exc.DBAPIError as error:
-            if not error.connection_invalidated:
-                raise
-            return self._rows_now(query, values)
-
-    def _rows_now(self, query: Any, values: Mapping[str, Any] | None) -> Sequence[Any]:
-        schema = self._client._sys_db.engine.get_execution_options()
-        with self._reader.connect() as connection:
-            return connection.execute(query, values, execution_options=schema).all()
-
-
-def migrate(settings: Settings) -> None:
-    """Create or upgrade the tables of the queue."""
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
-    DBOS.migrate(settings.system_database_url)
-
-
-def database(settings: Settings, *, lone_queries: bool = False) -> sa.Engine:
-    """An engine for the database of the queue.
-
-    Args:
-        settings: Which database.
-        lone_queries: Spare Postgres the round trips that begin and end a transaction and ask first
-            whether the connection lives: they cost more than the query itself.
-    """
-    url = sa.make_url(settings.system_database_url)
-    if settings.on_postgres:
-        url = url.set(drivername="postgresql+psycopg")
-        if lone_queries:
-            return sa.create_engine(url, isolation_level="AUTOCOMMIT", pool_size=CONNECTIONS)
-        return sa.create_engine(url, pool_pre_ping=True, pool_size=CONNECTIONS)
-    engine = sa.create_engine(
-        url, connect_args={"timeout": 60, "check_same_thread": False}, pool_size=CONNECTIONS
-    )
-    sa.event.listen(engine, "connect", _prepare_sqlite)
-    return engine
-
-
-def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:
-    """Settings of every SQLite connection, and its clock.
-
-    DBOS reads the clock by unixepoch('subsec'), which libsqlite3 before 3.42 lacks, and before
-    Python 3.12 by strftime('%s'), which counts whole seconds; both are given milliseconds here.
-    """
-    connection.isolation_level = "IMMEDIATE"
-    connection.execute("pragma journal_mode = wal")
-    connection.execute("pragma synchronous = normal")
-    connection.execute("pragma busy_timeout = 60000")
-    connection.execute("pragma foreign_keys = on")
-    for name in ("unixepoch", "strftime"):
-        connection.create_function(name, -1, lambda *_: time.time())
 
 
 def _record(status: WorkflowStatus) -> JobRecord:

@@ -13,13 +13,14 @@ from dbos import error as dbos_error
 
 from chamfer_morph.worker import queue
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import is_paused
 from chamfer_morph.worker.storage import Storage
 
-ADOPTIONS = 50
+MAX_RECOVERIES = 50
 
 _settings: Settings
 _executor: str
@@ -38,7 +39,7 @@ def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
     config: DBOSConfig = {
         "name": queue.APPLICATION,
         "system_database_url": settings.system_database_url,
-        "system_database_engine": queue.database(settings),
+        "system_database_engine": database(settings),
         "executor_id": executor,
         "application_version": queue.APPLICATION_VERSION,
         "run_migrations": False,
@@ -46,14 +47,14 @@ def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
         "max_executor_threads": 8,
     }
     DBOS(config=config)
-    logging.getLogger("dbos").addFilter(_is_news)
+    logging.getLogger("dbos").addFilter(_is_unexpected)
     DBOS.listen_queues([queue.QUEUE] if listen else [])
     DBOS.launch()
 
 
 @DBOS.workflow(
     name=queue.WORKFLOW,
-    max_recovery_attempts=ADOPTIONS,
+    max_recovery_attempts=MAX_RECOVERIES,
     serialization_type=WorkflowSerializationFormat.PORTABLE,
 )
 async def morph(spec: dict[str, Any]) -> dict[str, Any]:
@@ -83,7 +84,7 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     attempt = 1 + sum(1 for event in log.read(limit=10**9) if event.type == "attempt")
     while True:
         try:
-            outcome = await run_attempt(job_dir, attempt, _settings, _beat)
+            outcome = await run_attempt(job_dir, attempt, _settings, _heartbeat)
             return outcome.model_dump(mode="json")
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience
@@ -98,7 +99,7 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
         attempt += 1
 
 
-def _is_news(record: logging.LogRecord) -> bool:
+def _is_unexpected(record: logging.LogRecord) -> bool:
     """Leave cancelled jobs, which DBOS reports with a traceback, out of the log."""
     cancelled = (
         dbos_error.DBOSAwaitedWorkflowCancelledError,
@@ -107,7 +108,7 @@ def _is_news(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], cancelled))
 
 
-async def _beat() -> None:
+async def _heartbeat() -> None:
     """Raise if this slot has lost the job: the database lets only its owner write."""
     await DBOS.set_event_async("beat", 0)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from chamfer_morph.schemas import Job, JobState, Progress
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.worker.progress import JobProgress, read_progress
-from chamfer_morph.worker.queue import RECORDS_KEPT, JobRecord
+from chamfer_morph.worker.queue import RECORD_CACHE_SIZE, JobRecord
 
 
 def file_stem(record: JobRecord) -> str:
@@ -59,7 +59,7 @@ def _snapshot(record: JobRecord, context: ServerContext, *, alone: bool = True) 
     return _JobSnapshot(record, progress, position, context.settings.workers)
 
 
-@lru_cache(maxsize=RECORDS_KEPT)
+@lru_cache(maxsize=RECORD_CACHE_SIZE)
 def _encoded(snapshot: _JobSnapshot) -> bytes:
     """A job as it stands, encoded once for all who ask before it changes."""
     return _to_job(snapshot).model_dump_json().encode()

@@ -20,7 +20,7 @@ router = APIRouter(prefix="/workers", tags=["workers"])
 def list_workers(caller: Admin, context: Context) -> list[WorkerStatus]:
     """All slots that have ever worked on this storage."""
     running = context.queue.running()
-    return [_show(name, running, context) for name in slots.known(context.settings.data_dir)]
+    return [_show(name, running, context) for name in slots.names(context.settings.data_dir)]
 
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
@@ -40,7 +40,7 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
 
 
 def _check(worker_id: str, context: ServerContext) -> None:
-    if worker_id not in slots.known(context.settings.data_dir):
+    if worker_id not in slots.names(context.settings.data_dir):
         raise not_found("worker slot", worker_id)
 
 

@@ -12,8 +12,8 @@ from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.janitor import (
     ABANDONED_SECONDS,
     delete_abandoned_uploads,
-    delete_at_rest,
     delete_expired,
+    delete_if_unchanged,
 )
 from chamfer_morph.worker.storage import Storage
 
@@ -51,10 +51,10 @@ def test_what_is_resumed_meanwhile_stays(cluster):
     queue.cancel(job)
     seen = queue.get(job)
     queue.resume(job)
-    assert not delete_at_rest(queue, storage, seen)
+    assert not delete_if_unchanged(queue, storage, seen)
     assert queue.get(job).state is JobState.QUEUED
     queue.cancel(job)
-    assert delete_at_rest(queue, storage, queue.get(job))
+    assert delete_if_unchanged(queue, storage, queue.get(job))
     assert queue.get(job) is None
 
 

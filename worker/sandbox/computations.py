@@ -13,7 +13,7 @@ from chamfer_morph.schemas import Fit
 from chamfer_morph.worker.sandbox import runner
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions
 from chamfer_morph.worker.sandbox.runner import (
-    MOST_THREADS,
+    MAX_THREADS,
     Answer,
     CrashedError,
     Limits,
@@ -130,7 +130,7 @@ def reconstruct_surface(
         "index": index,
         "path": storage.surface_path(job_id, index),
     }
-    limits = _limits(settings, threads=MOST_THREADS)
+    limits = _limits(settings, threads=MAX_THREADS)
     runner.run(f"{TASKS}.reconstruct_surface", arguments, limits, SURFACE, on_start=on_start)
 
 
@@ -177,7 +177,7 @@ def make_export(
         runner.run(
             f"{TASKS}.make_export",
             {"result": result, "folder": folder, "options": options},
-            _limits(settings, file_bytes=file_bytes, threads=MOST_THREADS),
+            _limits(settings, file_bytes=file_bytes, threads=MAX_THREADS),
             EXPORT,
             on_start=on_start,
             on_progress=on_progress,

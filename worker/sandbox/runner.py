@@ -25,10 +25,10 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from morph_engine.child_process import python_command
 from morph_engine.errors import MorphError, ResourceError, ResultError
 
-MOST_THREADS = 4
+MAX_THREADS = 4
 """Threads of a child's libraries; each of them reserves memory that the limit counts."""
 
-LAST_WORDS = 1 << 14
+STDERR_TAIL_BYTES = 1 << 14
 """What is kept of a child's messages [bytes]."""
 
 OnStart = Callable[[subprocess.Popen[bytes]], None]
@@ -135,9 +135,9 @@ def run(
     assert process.stdin is not None and process.stderr is not None
     if on_start is not None:
         on_start(process)
-    last_words = bytearray()
-    listener = threading.Thread(target=_keep_end, args=(process.stderr, last_words), daemon=True)
-    listener.start()
+    stderr_tail = bytearray()
+    reader = threading.Thread(target=_read_tail, args=(process.stderr, stderr_tail), daemon=True)
+    reader.start()
     late = threading.Event()
     alarm = threading.Timer(2 * limits.cpu_seconds + 10, _kill, (process, late))
     alarm.start()
@@ -149,13 +149,13 @@ def run(
                 process.stdin.flush()  # it stays open, for the child ends with it
             answer = _read_answer(process, on_progress)
             status = process.wait()
-            listener.join()
+            reader.join()
     finally:
         alarm.cancel()
     if late.is_set() or -status == signal.SIGXCPU:
         amount = f"{limits.cpu_seconds} s"
         raise _too_much(wording, amount)
-    if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in last_words):
+    if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in stderr_tail):
         raise _too_much(wording, f"{limits.memory_bytes >> 20} MiB of memory")
     if -status == signal.SIGKILL:
         raise ResourceError(
@@ -164,7 +164,7 @@ def run(
         )
     if status or answer is None:
         how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
-        log.warning("%s: %s: %s", task, how, last_words.decode(errors="replace"))
+        log.warning("%s: %s: %s", task, how, stderr_tail.decode(errors="replace"))
         raise CrashedError(wording.subject, how)
     if isinstance(answer, MorphError):
         raise answer
@@ -200,11 +200,11 @@ def _too_much(wording: Wording, amount: str) -> ResourceError:
     return ResourceError(cause, wording.remedy)
 
 
-def _keep_end(stream: IO[bytes], end: bytearray) -> None:
+def _read_tail(stream: IO[bytes], tail: bytearray) -> None:
     """Keep the end of what a child writes, so that it never waits for a reader."""
-    while read := stream.read1(LAST_WORDS):  # type: ignore[attr-defined]
-        end += read
-        del end[:-LAST_WORDS]
+    while read := stream.read1(STDERR_TAIL_BYTES):  # type: ignore[attr-defined]
+        tail += read
+        del tail[:-STDERR_TAIL_BYTES]
 
 
 def _kill(process: subprocess.Popen[bytes], late: threading.Event) -> None:

@@ -1,0 +1,134 @@
+"""The database that DBOS keeps workflows in, and its one table that we read and write ourselves.
+
+DBOS has no public interface to that table. Nothing else here depends on what DBOS may change.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import cached_property
+from importlib import metadata
+from typing import Any
+
+import sqlalchemy as sa
+from dbos import DBOS, DBOSClient
+
+from chamfer_morph.worker.settings import Settings
+
+CONNECTIONS = 10
+"""Connections to the database that a process keeps open; opening one costs more than a query."""
+
+COLUMNS = frozenset(
+    {
+        "workflow_uuid", "name", "status", "authenticated_user", "attributes", "priority",
+        "executor_id", "created_at", "updated_at", "completed_at", "workflow_deadline_epoch_ms",
+    }
+)  # fmt: skip
+"""What the queue uses of the table."""
+
+
+class WorkflowTable:
+    """The table of workflows, a row each. Calls block; any thread may make them.
+
+    Args:
+        client: The client of DBOS whose database it is in.
+        settings: Which database that is.
+    """
+
+    def __init__(self, client: DBOSClient, settings: Settings) -> None:
+        self._client = client
+        self._reader = database(settings, autocommit=True)
+
+    @cached_property
+    def table(self) -> sa.Table:
+        """The table.
+
+        Raises:
+            RuntimeError: DBOS has changed it.
+        """
+        try:
+            table: sa.Table = self._client._sys_db.tables.workflow_status
+            missing = COLUMNS - {column.name for column in table.columns}
+        except AttributeError as error:
+            raise _changed(str(error)) from error
+        if missing:
+            raise _changed(f"workflow_status has no {', '.join(sorted(missing))}")
+        return table
+
+    def rows(self, query: Any, values: Mapping[str, Any] | None = None) -> Sequence[Any]:
+        """The rows of a query; asked again if its connection turns out to have died in the pool."""
+        try:
+            return self._rows_now(query, values)
+        except sa.exc.DBAPIError as error:
+            if not error.connection_invalidated:
+                raise
+            return self._rows_now(query, values)
+
+    def begin(self) -> AbstractContextManager[sa.Connection]:
+        """A transaction that changes the table."""
+        return self._engine.begin()
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._reader.dispose()
+
+    @property
+    def _engine(self) -> sa.Engine:
+        """DBOS's own engine, which knows the schema of the table."""
+        engine: sa.Engine = self._client._sys_db.engine
+        return engine
+
+    def _rows_now(self, query: Any, values: Mapping[str, Any] | None) -> Sequence[Any]:
+        schema = self._engine.get_execution_options()
+        with self._reader.connect() as connection:
+            return connection.execute(query, values, execution_options=schema).all()
+
+
+def migrate(settings: Settings) -> None:
+    """Create or upgrade the tables of DBOS."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    DBOS.migrate(settings.system_database_url)
+
+
+def database(settings: Settings, *, autocommit: bool = False) -> sa.Engine:
+    """An engine for the database of the queue.
+
+    Args:
+        settings: Which database.
+        autocommit: Spare Postgres the round trips that begin and end a transaction and ask first
+            whether the connection lives: they cost more than the query itself.
+    """
+    url = sa.make_url(settings.system_database_url)
+    if settings.on_postgres:
+        url = url.set(drivername="postgresql+psycopg")
+        if autocommit:
+            return sa.create_engine(url, isolation_level="AUTOCOMMIT", pool_size=CONNECTIONS)
+        return sa.create_engine(url, pool_pre_ping=True, pool_size=CONNECTIONS)
+    engine = sa.create_engine(
+        url, connect_args={"timeout": 60, "check_same_thread": False}, pool_size=CONNECTIONS
+    )
+    sa.event.listen(engine, "connect", _prepare_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:
+    """Settings of every SQLite connection, and its clock.
+
+    DBOS reads the clock by unixepoch('subsec'), which libsqlite3 before 3.42 lacks, and before
+    Python 3.12 by strftime('%s'), which counts whole seconds; both are given milliseconds here.
+    """
+    connection.isolation_level = "IMMEDIATE"
+    connection.execute("pragma journal_mode = wal")
+    connection.execute("pragma synchronous = normal")
+    connection.execute("pragma busy_timeout = 60000")
+    connection.execute("pragma foreign_keys = on")
+    for name in ("unixepoch", "strftime"):
+        connection.create_function(name, -1, lambda *_: time.time())
+
+
+def _changed(how: str) -> RuntimeError:
+    version = metadata.version("dbos")
+    return RuntimeError(f"DBOS {version} keeps its workflows otherwise than expected: {how}.")
