@@ -58,7 +58,7 @@ class LazyGroup(TyperGroup):
         return self.commands.get(cmd_name)
 
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     name="morph",
     cls=LazyGroup,
     help="Morph one 3D shape into another by differentiable physics.",

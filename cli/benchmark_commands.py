@@ -9,7 +9,7 @@ import typer
 
 from morph_engine.errors import MorphError
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

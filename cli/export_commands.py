@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 PANEL = "Results"
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 ResultArgument = Annotated[
     str, typer.Argument(metavar="RESULT", help="A result file, or the id of a job of the service.")

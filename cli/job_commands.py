@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from chamfer_morph.client import MorphClient
     from chamfer_morph.schemas import Job
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 PANEL = "Jobs of the service"
 
 SHAPE_HELP = "A mesh file, which is uploaded, or a built-in shape (see morph shapes)."

@@ -9,7 +9,7 @@ import typer
 from chamfer_morph.cli.exit_status import print_json
 from chamfer_morph.cli.options import JsonOption
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 
 @app.command()

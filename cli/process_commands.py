@@ -16,7 +16,7 @@ from morph_engine.errors import ConfigError
 
 PANEL = "The service"
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 DataDirOption = Annotated[Path | None, typer.Option(help="Where everything is kept.")]
 

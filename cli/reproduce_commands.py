@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from chamfer_morph.reproduction.report.section import Section
     from chamfer_morph.reproduction.runs.store import Record, Store
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 
 @app.command()

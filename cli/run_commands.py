@@ -30,7 +30,7 @@ from chamfer_morph.cli.options import (
 if TYPE_CHECKING:
     from chamfer_morph.cli.local_run import Summary
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 ThreadsOption = Annotated[int, typer.Option(min=0, help="CPU threads; 0 takes every core.")]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with an unfinished run.")]

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 PANEL = "The service"
 
-app = typer.Typer()
-keys = typer.Typer(help="API keys of the service.", no_args_is_help=True)
-workers = typer.Typer(help="Worker slots of the service.", no_args_is_help=True)
+app: typer.Typer = typer.Typer()
+keys: typer.Typer = typer.Typer(help="API keys of the service.", no_args_is_help=True)
+workers: typer.Typer = typer.Typer(help="Worker slots of the service.", no_args_is_help=True)
 app.add_typer(keys, name="keys", rich_help_panel=PANEL)
 app.add_typer(workers, name="workers", rich_help_panel=PANEL)
 

@@ -10,7 +10,7 @@ from chamfer_morph.cli.exit_status import BAD_INPUT, error_document, print_json
 from chamfer_morph.cli.options import FIT_HELP, SHAPE_HELP, Fit, JsonOption
 from morph_engine.errors import MorphError
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 
 @app.command()

@@ -28,7 +28,7 @@ from chamfer_morph.cli.options import (
 )
 from morph_engine.errors import ConfigError
 
-app = typer.Typer()
+app: typer.Typer = typer.Typer()
 
 
 @app.command(rich_help_panel="Jobs of the service")

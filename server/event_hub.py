@@ -44,7 +44,7 @@ class JobFeed:
     def __init__(self, log: EventLog) -> None:
         self.state: JobState | None = None
         self.subscribers = 0
-        self.ready = asyncio.Event()
+        self.ready: asyncio.Event = asyncio.Event()
         self._changed = asyncio.Event()
         self._log = log
         self._size = 0
@@ -141,7 +141,7 @@ class EventHub:
         self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
         self._thread = anyio.CapacityLimiter(1)
-        self.closing = asyncio.Event()
+        self.closing: asyncio.Event = asyncio.Event()
 
     @property
     def subscribers(self) -> int:

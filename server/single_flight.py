@@ -32,10 +32,10 @@ class Flight(Generic[Result]):
 
     def __init__(self, owner: str, requests: list[Request] | None) -> None:
         self.owner = owner
-        self.progress = 0.0
+        self.progress: float = 0.0
         self.error: Exception | None = None
         self.requests = requests
-        self.cancelled = False
+        self.cancelled: bool = False
         self.task: asyncio.Task[Result] | None = None
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -15,7 +15,7 @@ from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.child_process import python_command
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 FINISHED = [state for state in JobState if state.finished]
 ADOPTION_LIMIT_SECONDS = 70.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -14,7 +15,9 @@ GIB = 1 << 30
 class Settings(BaseSettings):
     """Every setting, its default and its meaning; `docs/settings.md` lists them."""
 
-    model_config = SettingsConfigDict(env_prefix="MORPH_", env_file=".env", extra="ignore")
+    model_config: ClassVar[SettingsConfigDict] = SettingsConfigDict(
+        env_prefix="MORPH_", env_file=".env", extra="ignore"
+    )
 
     data_dir: Path = Field(
         Path.home() / ".local/share/morph", description="Meshes, jobs, results and locks."

@@ -25,7 +25,7 @@ class Storage:
     """
 
     def __init__(self, root: Path) -> None:
-        self.root = root.absolute()
+        self.root: Path = root.absolute()
         for name in ("meshes", "uploads", "jobs", "locks", "workers"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
 

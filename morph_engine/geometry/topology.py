@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,14 +62,14 @@ class Topology:
         )
         forward = np.where(directed[:, 0] < directed[:, 1], 1, -1)
         balance = np.bincount(edge_of.reshape(-1), weights=forward, minlength=len(edges))
-        self.open_edges = edges[balance != 0]
-        self.watertight = bool(((uses == 2) & (balance == 0)).all())
+        self.open_edges: npt.NDArray[np.intp] = edges[balance != 0]
+        self.watertight: bool = bool(((uses == 2) & (balance == 0)).all())
 
         used, labels = _components(edges)
-        self.component_count = int(labels.max(initial=-1)) + 1
-        self.euler = len(used) - len(edges) + len(self._faces)
+        self.component_count: int = int(labels.max(initial=-1)) + 1
+        self.euler: int = len(used) - len(edges) + len(self._faces)
         part = labels[np.searchsorted(used, self._faces[:, 0])]
-        self.component_volumes = np.bincount(
+        self.component_volumes: npt.NDArray[Any] = np.bincount(
             part, weights=_face_volumes(self._points, self._faces), minlength=self.component_count
         )
 

@@ -34,7 +34,7 @@ class GridMass:
     def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
         self.point_count, self.point_mass, self.grid = point_count, point_mass, grid
         self._private = PrivateGrids(point_count, grid, values=1)
-        self.nodes = backend.active().scalars(grid.node_count)
+        self.nodes: Any = backend.active().scalars(grid.node_count)
 
     def gather(self, x: Any) -> Any:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""

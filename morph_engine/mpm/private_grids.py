@@ -5,6 +5,8 @@ private grids are summed node by node in their order, so that results do not dep
 of threads. On a GPU there is one grid, and additions are atomic.
 """
 
+from typing import Any
+
 import taichi as ti
 
 from morph_engine import backend
@@ -22,14 +24,14 @@ class PrivateGrids:
 
     def __init__(self, particle_count: int, grid: Grid, values: int = 4) -> None:
         device = backend.active()
-        self.atomic = not device.on_cpu
+        self.atomic: bool = not device.on_cpu
         self.chunk_count, self.chunk_size = device.chunks(particle_count)
         grids = self.chunk_count if device.on_cpu else 1
         node_count = grids * grid.node_count
-        self.partial = (
+        self.partial: Any = (
             device.scalars(node_count) if values == 1 else device.vectors(node_count, values)
         )
-        self.touched = device.integer_vectors(grids, 4)
+        self.touched: Any = device.integer_vectors(grids, 4)
 
 
 @ti.func

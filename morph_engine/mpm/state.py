@@ -49,8 +49,8 @@ class Layer:
 
     def __init__(self, particle_count: int) -> None:
         device = backend.active()
-        self.x = device.vectors(particle_count)
-        self.v = device.vectors(particle_count)
+        self.x: Any = device.vectors(particle_count)
+        self.v: Any = device.vectors(particle_count)
         self.C = device.matrices(particle_count)
         self.F = device.matrices(particle_count)
 
@@ -75,9 +75,9 @@ class Transition:
     def __init__(self, particle_count: int, node_count: int, *, rotations: bool) -> None:
         device = backend.active()
         self.U = device.matrices(particle_count)
-        self.U_bar = device.matrices(particle_count)
+        self.U_bar: Any = device.matrices(particle_count)
         self.R = device.matrices(particle_count if rotations else 1)
-        self.nodes = device.vectors(node_count, 4)
+        self.nodes: Any = device.vectors(node_count, 4)
 
 
 @ti.kernel

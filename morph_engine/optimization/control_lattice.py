@@ -36,7 +36,7 @@ class ControlLattice:
         x, y, z = along[0][:, :, None, None], along[1][:, None, :, None], along[2][:, None, None]
         index = ((x * nodes[1] + y) * nodes[2] + z).astype(np.int32)
         n = len(points)
-        self.count = int(nodes.prod())
+        self.count: int = int(nodes.prod())
         self._weights = csr_matrix(
             (weights.reshape(-1).astype(dtype), index.reshape(-1), np.arange(0, 64 * n + 1, 64)),
             shape=(n, self.count),

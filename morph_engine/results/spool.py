@@ -120,7 +120,7 @@ class Spool:
     """
 
     def __init__(self, result_path: Path, run: RunRecord, lock: BinaryIO | None) -> None:
-        self.path = spool_path(result_path)
+        self.path: Path = spool_path(result_path)
         self.result_path = result_path
         self.run = run
         self._lock = lock

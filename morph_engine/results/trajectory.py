@@ -171,7 +171,7 @@ class Trajectory:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path: Path = Path(path)
         if not self.path.is_file():
             raise ResultError(f"There is no result file {path}.", "Check the path.")
         with _reading(self.path):
@@ -191,7 +191,7 @@ class Trajectory:
                 f"{self.path} was written by a newer version.", "Update chamfer-morph to read it."
             )
         self.status: Status = _json(morph["status"])
-        self.frame_count = int(vtk["Steps"].attrs["NSteps"])
+        self.frame_count: int = int(vtk["Steps"].attrs["NSteps"])
         self._points = vtk["Points"]
         self.particle_count: int = self._points.chunks[0]
         if self._points.shape != (self.frame_count * self.particle_count, 3):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -22,10 +22,8 @@ TUNED_REPULSION = 1e-7
 heaps."""
 
 
-class PlanarConfig(BaseModel):
+class PlanarConfig(BaseModel, frozen=True, extra="forbid", validate_default=True):
     """One run of circle -> star. Lengths are the paper's: the star's outer radius is 1."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
     strategy: Strategy = Field("per_point", description="What the variables are, and repulsion.")
 

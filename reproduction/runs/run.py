@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from chamfer_morph.reproduction.meshes import MeshFolder, particle_count
 from morph_engine.config import MorphConfig
@@ -39,13 +39,11 @@ QUICK_SHARE = 0.4
 """Cost of the preset `fast` in parts of the preset `published`."""
 
 
-class Run(BaseModel):
+class Run(BaseModel, frozen=True, extra="forbid"):
     """One run. Equal ids are equal runs, whichever tables they serve.
 
     A name that ends with .obj is a file in the folder of meshes, any other a built-in shape.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]*$", max_length=100)
     source: str

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from chamfer_morph.reproduction.runs.run import Run
 from morph_engine.config import MorphConfig
@@ -38,13 +38,11 @@ EXTREMES: dict[str, Callable[[Iterable[float]], float]] = {
 CURVE_DIGITS = 6
 
 
-class Record(BaseModel):
+class Record(BaseModel, frozen=True, ser_json_inf_nan="constants"):
     """What a run has come to.
 
     Units are those of `morph_engine.metrics.definitions.METRICS`.
     """
-
-    model_config = ConfigDict(frozen=True, ser_json_inf_nan="constants")
 
     run: Run
     digest: str = Field(description="Of configuration and meshes, see `Run.digest`.")
@@ -77,7 +75,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.runs_folder = folder / "runs"
+        self.runs_folder: Path = folder / "runs"
 
     def record_path(self, run: Run) -> Path:
         """Where the record of a run lies."""

@@ -64,8 +64,8 @@ class ProblemError(Exception):
         self.status = status
         self.detail = detail
         self.remedy = remedy
-        self.headers = dict(headers or {})
-        self.errors = list(errors)
+        self.headers: dict[str, str] = dict(headers or {})
+        self.errors: list[dict[str, Any]] = list(errors)
 
     def document(self) -> ProblemDocument:
         """The body of the answer."""

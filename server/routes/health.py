@@ -30,21 +30,23 @@ class RequestMetrics:
     """What is measured of the requests themselves."""
 
     def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-        self.requests = Counter(
+        self.registry: CollectorRegistry = CollectorRegistry()
+        self.requests: Counter = Counter(
             "morph_requests",
             "Answered requests.",
             ("operation", "status"),
             registry=self.registry,
         )
-        self.seconds = Histogram(
+        self.seconds: Histogram = Histogram(
             "morph_request_seconds",
             "Time until an answer begins [s].",
             ("operation",),
             registry=self.registry,
             buckets=(0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30),
         )
-        self.open = Gauge("morph_requests_open", "Requests under way.", registry=self.registry)
+        self.open: Gauge = Gauge(
+            "morph_requests_open", "Requests under way.", registry=self.registry
+        )
 
     def observe_queue(self, context: ServerContext) -> None:
         """Measure the queue too."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from chamfer_morph.schemas import Sha256
 from morph_engine.files import replacing
@@ -44,7 +44,7 @@ class StoredSurface:
             np.savez(file, vertices=self.vertices, faces=self.faces, report=report)
 
 
-class ExportOptions(BaseModel):
+class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     """What to export.
 
     Attributes:
@@ -52,8 +52,6 @@ class ExportOptions(BaseModel):
         name: What to call the file elsewhere, without its ending.
         format: As `morph_engine.export.export` takes it, and so are the others.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: str
     name: str

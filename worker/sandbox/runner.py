@@ -37,7 +37,7 @@ OnStart = Callable[[subprocess.Popen[bytes]], None]
 OnProgress = Callable[[float], None]
 """Called with the share that is done, from 0 to 1."""
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class CrashedError(ResultError):
