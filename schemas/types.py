@@ -19,5 +19,5 @@ Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]
 
 
-class Request(BaseModel, extra="forbid", strict=True):
+class Request(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
     """Base of request bodies: unknown fields and other types are errors."""

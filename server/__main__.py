@@ -8,6 +8,7 @@ import logging
 import os
 import socket
 import sys
+import tempfile
 from typing import TYPE_CHECKING
 
 from chamfer_morph.worker.settings import Settings
@@ -60,7 +61,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
         return serve(settings)
     if arguments.command == "openapi":
         from chamfer_morph.server.app import create_app
-        from chamfer_morph.server.openapi import text
+        from chamfer_morph.server.http.openapi import text
 
         sys.stdout.write(text(create_app(settings)))
         return 0
@@ -76,7 +77,10 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
         migrate(settings)
     else:
         from chamfer_morph.server.api_server import ApiServer
+        from chamfer_morph.worker.storage import Storage
 
+        # parts of forms lie beside the meshes on their way in, for /tmp may be memory
+        tempfile.tempdir = str(Storage(settings.data_dir).uploads)
         inherited = arguments.fd is not None
         listener = socket.socket(fileno=arguments.fd) if inherited else listen(settings)
         ApiServer(settings).run(sockets=[listener])

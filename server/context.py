@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import anyio
 import sqlalchemy as sa
@@ -21,6 +22,8 @@ from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.sandbox.computations import SampledShape
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
+
+Result = TypeVar("Result")
 
 INSPECTIONS = 2
 PREVIEWS = 1
@@ -92,6 +95,10 @@ class ServerContext:
             partial_results=SingleFlight(anyio.CapacityLimiter(PARTIAL_RESULTS)),
             exports=SingleFlight(anyio.CapacityLimiter(EXPORTS)),
         )
+
+    async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
+        """Call a function that takes a while in a thread, when its turn has come."""
+        return await anyio.to_thread.run_sync(function, *args, limiter=self.compute_limiter)
 
     def cancel_computations(self, job_id: str) -> None:
         """End what is being computed from the frames of a job, which go."""

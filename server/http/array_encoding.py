@@ -11,41 +11,25 @@ from fastapi import Request, Response
 from numpy.typing import NDArray
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server.http.conditional import bytes_response
+from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 
 BYTES = "application/octet-stream"
 PLY = "application/x-ply"
 NPY = "application/x-npy"
 LEVELS = 65535
 
-BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
+HEADERS = {
+    "Morph-Particles": ("integer", "Number of points."),
+    "Morph-Offset": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
+    "Morph-Scale": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
+}
 
 
 def array_responses(
-    description: str, **headers: tuple[str, str]
+    description: str, headers: Mapping[str, tuple[str, str]] | None = None
 ) -> dict[int | str, dict[str, Any]]:
-    """The contract of an answer that holds points.
-
-    Args:
-        description: What they are.
-        **headers: Further headers by name, with _ for -: the JSON type of each and its meaning.
-    """
-    named = {
-        "Morph-Particles": ("integer", "Number of points."),
-        "Morph-Offset": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
-        "Morph-Scale": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
-    } | {name.replace("_", "-"): meaning for name, meaning in headers.items()}
-    return {
-        200: {
-            "content": {BYTES: BINARY, PLY: BINARY, NPY: BINARY},
-            "headers": {
-                name: {"schema": {"type": kind}, "description": meaning}
-                for name, (kind, meaning) in named.items()
-            },
-            "description": description,
-        },
-        304: {"description": "You have it already."},
-    }
+    """The contract of an endpoint that answers points; arguments as of `binary_responses`."""
+    return binary_responses(description, (BYTES, PLY, NPY), HEADERS | dict(headers or {}))
 
 
 def array_response(
@@ -53,7 +37,7 @@ def array_response(
     positions: NDArray[np.float32],
     format: FrameFormat,
     extent: float,
-    headers: Mapping[str, str],
+    headers: Mapping[str, str] | None = None,
 ) -> Response:
     """Points as the answer to a request, or that the caller has them already.
 
@@ -65,7 +49,7 @@ def array_response(
         headers: Further headers.
     """
     body, media_type = encode_positions(positions, format, extent)
-    all_headers = {"Morph-Particles": str(len(positions)), **headers}
+    all_headers = {"Morph-Particles": str(len(positions)), **(headers or {})}
     if format == "u16":
         all_headers |= {"Morph-Offset": repr(-extent), "Morph-Scale": repr(2 * extent / LEVELS)}
     return bytes_response(request, body, media_type, all_headers)

@@ -13,6 +13,8 @@ from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
+from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -40,7 +42,7 @@ PROBLEM_TYPES: dict[int, tuple[str, str]] = {
 """Status to the stable name of the problem and its title."""
 
 
-class ProblemError(Exception):
+class ProblemError(HTTPException):
     """An answer other than the one asked for.
 
     Args:
@@ -60,9 +62,7 @@ class ProblemError(Exception):
         headers: Mapping[str, str] | None = None,
         errors: Sequence[dict[str, Any]] = (),
     ) -> None:
-        super().__init__(detail)
-        self.status = status
-        self.detail = detail
+        super().__init__(status, detail)
         self.remedy = remedy
         self.headers: dict[str, str] = dict(headers or {})
         self.errors: list[dict[str, Any]] = list(errors)
@@ -70,12 +70,12 @@ class ProblemError(Exception):
     def document(self) -> ProblemDocument:
         """The body of the answer."""
         name, title = PROBLEM_TYPES.get(
-            self.status, PROBLEM_TYPES[400 if self.status < 500 else 500]
+            self.status_code, PROBLEM_TYPES[400 if self.status_code < 500 else 500]
         )
         return ProblemDocument(
             type=f"/problems/{name}",
             title=title,
-            status=self.status,
+            status=self.status_code,
             detail=self.detail,
             remedy=self.remedy,
             errors=self.errors,
@@ -84,7 +84,7 @@ class ProblemError(Exception):
     def response(self) -> Response:
         """The answer."""
         body = json.dumps(self.document().model_dump(mode="json"))
-        return Response(body, self.status, self.headers, MEDIA_TYPE)
+        return Response(body, self.status_code, self.headers, MEDIA_TYPE)
 
 
 def not_found(what: str, name: str) -> ProblemError:
@@ -92,10 +92,29 @@ def not_found(what: str, name: str) -> ProblemError:
     return ProblemError(404, f"There is no {what} {name[:80]!r}.", "Check the id, and the key.")
 
 
+def too_large(max_bytes: int) -> ProblemError:
+    """The refusal of a body or file that is too large."""
+    text = f"{max_bytes / 2**20:.0f} MiB" if max_bytes >= 1 << 20 else f"{max_bytes} bytes"
+    return ProblemError(
+        413,
+        f"This is larger than the {text} that are accepted.",
+        "Send less; a mesh may be decimated, for the simulation sees no detail below half a grid "
+        "unit.",
+        headers={"Connection": "close", "Retry-After": "60"},
+    )
+
+
+def not_json(error: ValueError | RecursionError) -> ProblemError:
+    """The refusal of a body that is not JSON, or nested too deeply to be read."""
+    if isinstance(error, RecursionError):
+        return ProblemError(422, "The JSON is nested too deeply.", "Flatten it.")
+    return ProblemError(422, f"The body is not JSON: {error}.", "Check it with a JSON linter.")
+
+
 def validation_problem(error: ValidationError | RequestValidationError) -> ProblemError:
     """Fields that are missing, unknown or out of range."""
     faults = [
-        {"loc": list(fault["loc"]), "msg": fault["msg"], "type": fault["type"]}
+        {"loc": _path_in_body(fault["loc"]), "msg": fault["msg"], "type": fault["type"]}
         for fault in error.errors()
     ]
     first = faults[0]
@@ -108,20 +127,25 @@ def validation_problem(error: ValidationError | RequestValidationError) -> Probl
     )
 
 
+def _path_in_body(loc: Sequence[str | int]) -> list[str | int]:
+    """Where a field is; FastAPI says before it that it is in the body."""
+    return list(loc[1:] if loc[0:1] == ("body",) else loc)
+
+
 def install(app: FastAPI) -> None:
     """Answer every error of an application in the one shape."""
 
     async def problem(request: Request, error: Exception) -> Response:
-        found = as_problem(error)
-        if found.status == 405:
+        found = as_problem(error, request.scope)
+        if found.status_code == 405:
             found.headers["Allow"] = ", ".join(_allowed_methods(app, request.url.path))
         return found.response()
 
     for kind in (
-        ProblemError,
         MorphError,
         RequestValidationError,
         HTTPException,
+        ClientDisconnect,
         OperationalError,
         InterfaceError,
         PoolTimeoutError,
@@ -131,16 +155,28 @@ def install(app: FastAPI) -> None:
     app.add_middleware(ProblemMiddleware)
 
 
-def as_problem(error: Exception) -> ProblemError:
-    """The answer to an exception."""
+def as_problem(error: Exception, scope: Scope | None = None) -> ProblemError:
+    """The answer to an exception.
+
+    Args:
+        error: The exception.
+        scope: The request, which knows its limits.
+    """
     if isinstance(error, ProblemError):
         return error
     if isinstance(error, MorphError):
         return ProblemError(422, error.cause, error.remedy)
     if isinstance(error, RequestValidationError):
-        return validation_problem(error)
+        return _request_problem(error)
     if isinstance(error, HTTPException):
-        return _http_problem(error.status_code, str(error.detail), error.headers)
+        cause = error.__cause__
+        if isinstance(cause, (ValueError, RecursionError)):  # FastAPI could not read the body
+            return not_json(cause)
+        if isinstance(cause, ClientDisconnect):
+            return as_problem(cause)
+        return _http_problem(error.status_code, str(error.detail), error.headers, scope or {})
+    if isinstance(error, ClientDisconnect):
+        return ProblemError(400, "The body was cut off.", "Send it again.")
     if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
         return ProblemError(
             503,
@@ -153,6 +189,17 @@ def as_problem(error: Exception) -> ProblemError:
         f"This is a fault of the service: {type(error).__name__}.",
         "Try again; if it happens again, report it with the log of the service.",
     )
+
+
+def _request_problem(error: RequestValidationError) -> ProblemError:
+    """Parameters or a body that FastAPI has refused."""
+    if isinstance(error.__cause__, ValueError):
+        return not_json(error.__cause__)
+    if isinstance(error.body, bytes):  # FastAPI parses nothing but JSON
+        return ProblemError(
+            415, "The body is not JSON.", "Send it with Content-Type: application/json."
+        )
+    return validation_problem(error)
 
 
 def _allowed_methods(app: FastAPI, path: str) -> list[str]:
@@ -168,7 +215,11 @@ def _allowed_methods(app: FastAPI, path: str) -> list[str]:
     )
 
 
-def _http_problem(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
+def _http_problem(
+    status: int, detail: str, headers: Mapping[str, str] | None, scope: Scope
+) -> ProblemError:
+    if status == 413 and MAX_BODY_SIZE_SCOPE_KEY in scope:
+        return too_large(scope[MAX_BODY_SIZE_SCOPE_KEY])
     remedies = {
         404: "See /docs for the addresses there are.",
         405: "See /docs for the methods of this address.",
@@ -207,9 +258,8 @@ class ProblemMiddleware:
                         if name in ("allow", "content-range", "retry-after", "www-authenticate")
                     }
                     _, title = PROBLEM_TYPES.get(message["status"], PROBLEM_TYPES[400])
-                    await _http_problem(message["status"], title, kept_headers).response()(
-                        scope, receive, send
-                    )
+                    found = _http_problem(message["status"], title, kept_headers, scope)
+                    await found.response()(scope, receive, send)
                     return
             if not replaced:
                 await send(message)

@@ -1,23 +1,29 @@
-"""Files that are sent, streamed to disk."""
+"""Files that are sent, streamed to the disk.
+
+FastAPI's `UploadFile` parameters do not serve here: they are received before the caller is known,
+and never lie under a name that another process could open.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
 import secrets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import anyio
+from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from chamfer_morph.server.http.body import chunks, too_large
-from chamfer_morph.worker.settings import Settings
+from chamfer_morph.server.http.problems import ProblemError, too_large
 
-WRITE_BYTES = 1 << 20
+BLOCK_BYTES = 1 << 20
 NAME_LENGTH = 200
+MAX_PARTS = 16
 
 
 @dataclass
@@ -37,76 +43,91 @@ class Upload:
     size_bytes: int
 
 
-class TemporaryFile:
-    """A temporary file being written, in pieces large enough to be worth a thread's while."""
+@asynccontextmanager
+async def save_upload(
+    chunks: AsyncIterable[bytes], folder: Path, name: str, max_bytes: int
+) -> AsyncIterator[Upload]:
+    """Write what comes in to a temporary file, gone in the end unless it was moved.
 
-    def __init__(self, path: Path, name: str, largest: int | None) -> None:
-        self._path, self._name, self._largest = path, name, largest
-        self._file = path.open("xb")
-        self._digest = hashlib.sha256()
-        self._buffer = bytearray()
-        self._size = 0
+    Args:
+        chunks: The content.
+        folder: Where to put the file.
+        name: What the user calls it.
+        max_bytes: Its largest size.
 
-    @classmethod
-    @asynccontextmanager
-    async def open(
-        cls, folder: Path, name: str, largest: int | None = None
-    ) -> AsyncIterator[TemporaryFile]:
-        """Make one in a folder, gone in the end unless it was moved.
-
-        Args:
-            folder: Where.
-            name: What the user calls it.
-            largest: Its largest size [bytes]; None for any.
-        """
-        name = plain_name(name)
-        suffix = Path(name).suffix.lower()
-        path = folder / f"{secrets.token_hex(12)}{suffix if suffix[1:].isalnum() else ''}"
-        file = cls(path, name, largest)
-        try:
-            yield file
-        finally:
-            file._file.close()
-            path.unlink(missing_ok=True)
-
-    async def write(self, data: bytes) -> None:
-        """Append to it.
-
-        Raises:
-            ProblemError: 413 too large.
-        """
-        self._buffer += data
-        self._size += len(data)
-        if self._largest is not None and self._size > self._largest:
-            raise too_large(self._largest)
-        if len(self._buffer) >= WRITE_BYTES:
-            await anyio.to_thread.run_sync(self._flush)
-
-    async def close(self) -> Upload:
-        """Finish writing."""
-        await anyio.to_thread.run_sync(self._flush)
-        self._file.close()
-        return Upload(self._path, self._name, self._digest.hexdigest(), self._size)
-
-    def _flush(self) -> None:
-        data, self._buffer = self._buffer, bytearray()
-        self._digest.update(data)
-        self._file.write(data)
+    Raises:
+        ProblemError: 413, it is larger.
+    """
+    name = plain_name(name)
+    suffix = Path(name).suffix.lower()
+    path = folder / f"{secrets.token_hex(12)}{suffix if suffix[1:].isalnum() else ''}"
+    digest, size = hashlib.sha256(), 0
+    try:
+        async with await anyio.open_file(path, "xb", buffering=BLOCK_BYTES) as file:
+            async for chunk in chunks:
+                size += len(chunk)
+                if size > max_bytes:
+                    raise too_large(max_bytes)
+                digest.update(chunk)
+                await file.write(chunk)
+        yield Upload(path, name, digest.hexdigest(), size)
+    finally:
+        path.unlink(missing_ok=True)
 
 
 @asynccontextmanager
-async def receive_file(
-    request: Request, folder: Path, name: str, settings: Settings
-) -> AsyncIterator[Upload]:
-    """Stream the body to a temporary file, gone after the request unless it was moved.
+async def receive_form(request: Request, max_field_bytes: int) -> AsyncIterator[FormData]:
+    """The parts of a multipart form, each name once; its files are in temporary files.
 
     Raises:
-        ProblemError: 413 too large, 408 stalled, 400 cut off.
+        ProblemError: 413 too large, 422 not a form, or a part that is there twice.
     """
-    async with TemporaryFile.open(folder, name) as file:
-        async for chunk in chunks(request, settings.upload_bytes, settings):
-            await file.write(chunk)
-        yield await file.close()
+    try:
+        form = await _FormParser(request, max_field_bytes).parse()
+    except MultiPartException as error:
+        if "aximum" in error.message:  # Starlette tells what is too much in words only
+            raise ProblemError(413, error.message, "Send fewer and smaller parts.") from None
+        raise ProblemError(
+            422,
+            "The body is not a whole multipart form.",
+            "Let an HTTP library make it, as in `curl -F file=@bunny.obj`.",
+        ) from None
+    try:
+        for name in form:
+            if len(form.getlist(name)) > 1:
+                raise ProblemError(422, f"The form has two parts {name!r}.", "Send each part once.")
+        yield form
+    finally:
+        await form.close()
+
+
+class _FormParser(MultiPartParser):
+    """Starlette's parser, which would take a form that was cut off for a whole one."""
+
+    def __init__(self, request: Request, max_field_bytes: int) -> None:
+        super().__init__(
+            request.headers,
+            self._until_end(request.stream()),
+            max_files=MAX_PARTS,
+            max_fields=MAX_PARTS,
+            max_part_size=max_field_bytes,
+        )
+        self._ended = False
+
+    def on_end(self) -> None:
+        self._ended = True
+
+    async def _until_end(self, chunks: AsyncIterable[bytes]) -> AsyncGenerator[bytes, None]:
+        async for chunk in chunks:
+            yield chunk
+        if not self._ended:
+            raise MultiPartException("The form was cut off.")
+
+
+async def read_blocks(file: UploadFile) -> AsyncIterator[bytes]:
+    """The content of a part of a form, in pieces."""
+    while block := await file.read(BLOCK_BYTES):
+        yield block
 
 
 def plain_name(name: str) -> str:

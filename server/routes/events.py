@@ -9,9 +9,8 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
 from chamfer_morph.schemas import Event, EventPage
-from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.routes import job_lookup
+from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["events"])
@@ -33,9 +32,8 @@ LARGEST_ID = 2**53
     },
 )
 async def get_events(
-    job_id: str,
+    job: VisibleJob,
     request: Request,
-    caller: Reader,
     context: Context,
     after: Annotated[
         int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")
@@ -51,16 +49,15 @@ async def get_events(
     same JSON as in a page; the stream ends once the job rests, after a last `state` event. A
     stream that breaks off goes on with `Last-Event-ID`.
     """
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
     if accepts_stream(request.headers.get("accept", "")):
         context.event_hub.check_capacity()
         return EventSourceResponse(
-            context.event_hub.stream(record.id, after),
+            context.event_hub.stream(job.id, after),
             headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
         )
-    return await anyio.to_thread.run_sync(_page, record, after, limit, context)
+    return await anyio.to_thread.run_sync(_page, job, after, limit, context)
 
 
 def accepts_stream(accept: str) -> bool:
@@ -68,11 +65,11 @@ def accepts_stream(accept: str) -> bool:
     return any(part.partition(";")[0].strip().lower() == SSE for part in accept.split(","))
 
 
-def _page(record: JobRecord, after: int, limit: int, context: ServerContext) -> EventPage:
+def _page(job: JobRecord, after: int, limit: int, context: ServerContext) -> EventPage:
     """Events of the log; the state was read before, so a final one has all its events."""
-    logged = context.storage.events(record.id).read(after, limit)
+    logged = context.storage.events(job.id).read(after, limit)
     items = [
         Event.model_validate({"id": e.id, "type": e.type, "at": e.at, "data": e.data})
         for e in logged
     ]
-    return EventPage(items=items, last_id=items[-1].id if items else after, state=record.state)
+    return EventPage(items=items, last_id=items[-1].id if items else after, state=job.state)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
 import anyio
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Body, Request, Response
+from fastapi.openapi.models import Example
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import Export, ExportFormat, ExportRequest, Problem
 from chamfer_morph.schemas.ids import derived_id, is_id
 from chamfer_morph.server.auth import Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.array_encoding import BINARY
-from chamfer_morph.server.http.conditional import etag_headers, not_modified
-from chamfer_morph.server.http.json_body import read_json
+from chamfer_morph.server.http.conditional import binary_responses, file_response
 from chamfer_morph.server.http.problems import ProblemError, as_problem
-from chamfer_morph.server.routes import job_lookup, job_view
+from chamfer_morph.server.routes.job_lookup import VisibleJob, find_result
+from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.server.submission import body_digest
 from chamfer_morph.worker.frame_reader import count_frames
@@ -34,23 +34,20 @@ RETRY_AFTER = "1"
 MOST_PER_KEY = 20
 """Exports of a key that may be under way or waiting for their turn."""
 
-FILES = {
-    media_type: BINARY
-    for media_type in (
-        "application/octet-stream",
-        "application/zip",
-        "image/gif",
-        "model/gltf-binary",
-        "model/obj",
-        "model/stl",
-        "model/vnd.usd",
-        "text/csv",
-        "video/mp4",
-    )
-}
+MEDIA_TYPES = (
+    "application/octet-stream",
+    "application/zip",
+    "image/gif",
+    "model/gltf-binary",
+    "model/obj",
+    "model/stl",
+    "model/vnd.usd",
+    "text/csv",
+    "video/mp4",
+)
 """What `morph_engine.export.FORMATS` names, which takes a second to import."""
 
-EXAMPLES: dict[str, Any] = {
+EXAMPLES: dict[str, Example] = {
     "surface": {
         "summary": "The surface of the last frame for Blender",
         "value": {"format": "glb", "frames": [-1], "surface": True},
@@ -59,18 +56,6 @@ EXAMPLES: dict[str, Any] = {
         "summary": "All frames as points with their density, in grid units",
         "value": {"format": "ply", "fields": ["density"], "units": "grid"},
     },
-}
-
-BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {
-                "schema": {"$ref": "#/components/schemas/ExportRequest"},
-                "examples": EXAMPLES,
-            }
-        },
-    }
 }
 
 
@@ -99,40 +84,41 @@ def list_formats(caller: Reader) -> list[ExportFormat]:
     operation_id="exportJob",
     summary="Export a job",
     responses={200: {"model": Export, "description": "It is there already."}},
-    openapi_extra=BODY,
 )
 async def export_job(
-    job_id: str, request: Request, response: Response, caller: Submitter, context: Context
+    caller: Submitter,
+    job: VisibleJob,
+    body: Annotated[ExportRequest, Body(openapi_examples=EXAMPLES)],
+    request: Request,
+    response: Response,
+    context: Context,
 ) -> Export:
     """Have frames of a finished job written in another format. The same request is one export.
 
     Several frames in a format that holds one frame a file make a zip archive.
     """
-    wanted = await read_json(request, ExportRequest, context.settings)
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    result = await job_lookup.find_result(record, request, context)
-    options = await anyio.to_thread.run_sync(_options, wanted, record, result)
-    folder = context.storage.exports_dir(job_id)
+    result = await find_result(job, request, context)
+    options = await anyio.to_thread.run_sync(_options, body, job, result)
+    folder = context.storage.exports_dir(job.id)
     stored = await anyio.to_thread.run_sync(StoredExport.find, folder, options.id)
     if stored is None:
-        await anyio.to_thread.run_sync(context.quotas.check_disk, record.owner)
-        _start(options, record, context)
+        await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
+        _start(options, job, context)
     response.status_code = 200 if stored else 202
-    response.headers["Location"] = f"/v1/jobs/{job_id}/exports/{options.id}"
+    response.headers["Location"] = f"/v1/jobs/{job.id}/exports/{options.id}"
     response.headers["Retry-After"] = RETRY_AFTER
-    return _show(job_id, options.id, context)[0]
+    return _show(job.id, options.id, context)[0]
 
 
 @router.get(
     "/jobs/{job_id}/exports/{export_id}", operation_id="getExport", summary="Show an export"
 )
-def get_export(job_id: str, export_id: str, caller: Reader, context: Context) -> Export:
+def get_export(job: VisibleJob, export_id: str, context: Context) -> Export:
     """How far an export has come.
 
     One that was under way when the service stopped is not there any more; ask for it again.
     """
-    job_lookup.find_job(job_id, caller, context)
-    return _show(job_id, export_id, context)[0]
+    return _show(job.id, export_id, context)[0]
 
 
 @router.delete(
@@ -141,15 +127,16 @@ def get_export(job_id: str, export_id: str, caller: Reader, context: Context) ->
     operation_id="deleteExport",
     summary="Delete an export",
 )
-async def delete_export(job_id: str, export_id: str, caller: Submitter, context: Context) -> None:
+async def delete_export(
+    caller: Submitter, job: VisibleJob, export_id: str, context: Context
+) -> None:
     """End an export that is under way, or remove its file."""
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    _, stored = await anyio.to_thread.run_sync(_show, job_id, export_id, context)
-    folder = context.storage.exports_dir(job_id)
-    context.exports.cancel(job_id, export_id)
+    _, stored = await anyio.to_thread.run_sync(_show, job.id, export_id, context)
+    folder = context.storage.exports_dir(job.id)
+    context.exports.cancel(job.id, export_id)
     if stored is not None:
         await anyio.to_thread.run_sync(stored.remove, folder, export_id)
-        context.quotas.invalidate(record.owner)
+        context.quotas.invalidate(job.owner)
 
 
 @router.get(
@@ -157,44 +144,38 @@ async def delete_export(job_id: str, export_id: str, caller: Submitter, context:
     operation_id="getExportFile",
     summary="Download an export",
     response_class=FileResponse,
-    responses={
-        200: {"content": FILES, "description": "The file."},
-        206: {"content": FILES, "description": "The part asked for with Range."},
-        304: {"description": "You have it already."},
-    },
+    responses=binary_responses("The file.", MEDIA_TYPES, ranges=True),
 )
 def get_export_file(
-    job_id: str, export_id: str, request: Request, caller: Reader, context: Context
+    job: VisibleJob, export_id: str, request: Request, context: Context
 ) -> Response:
     """The file of an export that is ready; its ETag is its SHA-256.
 
     Understands Range, If-Range and If-None-Match.
     """
-    job_lookup.find_job(job_id, caller, context)
-    shown, stored = _show(job_id, export_id, context)
+    shown, stored = _show(job.id, export_id, context)
     if stored is None:
         if shown.problem is not None:
             raise ProblemError(409, shown.problem.cause, shown.problem.remedy)
         raise ProblemError(
             409, "The export is not ready.", "Ask again soon.", headers={"Retry-After": RETRY_AFTER}
         )
-    path = context.storage.exports_dir(job_id) / stored.file
-    headers = etag_headers(stored.sha256)
-    return not_modified(request, headers) or FileResponse(
-        path, headers=headers, media_type=stored.media_type, filename=stored.name
+    path = context.storage.exports_dir(job.id) / stored.file
+    return file_response(
+        request, path, stored.sha256, media_type=stored.media_type, filename=stored.name
     )
 
 
-def _start(options: ExportOptions, record: JobRecord, context: ServerContext) -> None:
+def _start(options: ExportOptions, job: JobRecord, context: ServerContext) -> None:
     """Begin with an export, unless it is under way.
 
     Raises:
         ProblemError: 429, the key has too many.
     """
-    key = (record.id, options.id)
+    key = (job.id, options.id)
     known = context.exports.find(key)
     running = known is not None and known.error is None
-    if not running and context.exports.count(record.owner) >= MOST_PER_KEY:
+    if not running and context.exports.count(job.owner) >= MOST_PER_KEY:
         raise ProblemError(
             429,
             f"{MOST_PER_KEY} exports of this key are under way.",
@@ -205,18 +186,18 @@ def _start(options: ExportOptions, record: JobRecord, context: ServerContext) ->
     def compute(flight: Flight[None]) -> None:
         make_export(
             context.storage,
-            record.id,
+            job.id,
             options,
             context.settings,
-            file_bytes=context.quotas.available_bytes(record.owner),
+            file_bytes=context.quotas.available_bytes(job.owner),
             on_start=flight.on_start,
             on_progress=flight.on_progress,
         )
 
-    context.exports.start(key, compute, record.owner)
+    context.exports.start(key, compute, job.owner)
 
 
-def _options(wanted: ExportRequest, record: JobRecord, result: Path) -> ExportOptions:
+def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOptions:
     """What to make, under an id that follows from the request and the result.
 
     Raises:
@@ -225,21 +206,21 @@ def _options(wanted: ExportRequest, record: JobRecord, result: Path) -> ExportOp
     """
     from morph_engine.export import check
 
-    check(wanted.format, surface=wanted.surface, fields=wanted.fields)
+    check(request.format, surface=request.surface, fields=request.fields)
     count = count_frames(result)
-    for frame in wanted.frames or ():
+    for frame in request.frames or ():
         if not -count <= frame < count:
             raise ProblemError(
                 422, f"There is no frame {frame}.", f"The {count} frames count from 0."
             )
-    frames = wanted.frames and [frame % count for frame in dict.fromkeys(wanted.frames)]
-    seen = result.stat()
-    what = wanted.model_dump(mode="json") | {"frames": frames}
-    digest = body_digest(what | {"result": [seen.st_mtime_ns, seen.st_size]})
-    name = job_view.file_stem(record)
+    frames = request.frames and [frame % count for frame in dict.fromkeys(request.frames)]
+    stat = result.stat()
+    content = request.model_dump(mode="json") | {"frames": frames}
+    digest = body_digest(content | {"result": [stat.st_mtime_ns, stat.st_size]})
+    name = file_stem(job)
     if frames and len(frames) == 1:
         name += f"-{frames[0]}"
-    return ExportOptions(id=derived_id(f"export\0{digest}"), name=name, **what)
+    return ExportOptions(id=derived_id(f"export\0{digest}"), name=name, **content)
 
 
 def _show(
@@ -282,6 +263,8 @@ def _problem(error: Exception) -> Problem:
     """Why an export has failed."""
     if isinstance(error, MorphError):
         return problem_of(error)
-    told = as_problem(error)
-    kind: Literal["resources", "internal"] = "resources" if told.status < 500 else "internal"
-    return Problem(cause=told.detail, remedy=told.remedy, kind=kind)
+    problem = as_problem(error)
+    kind: Literal["resources", "internal"] = (
+        "resources" if problem.status_code < 500 else "internal"
+    )
+    return Problem(cause=problem.detail, remedy=problem.remedy, kind=kind)

@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 from chamfer_morph.schemas import ParticleField
 from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.array_encoding import BINARY, BYTES
-from chamfer_morph.server.http.conditional import etag_headers, not_modified
+from chamfer_morph.server.http.array_encoding import BYTES
+from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes import job_lookup
+from chamfer_morph.server.routes.job_lookup import (
+    FinishedFrame,
+    VisibleJob,
+    find_frame,
+    find_run_record,
+)
 from chamfer_morph.worker.frame_reader import Frame, read_det_f
 from chamfer_morph.worker.queue import JobRecord
 
@@ -25,6 +30,15 @@ router = APIRouter(tags=["fields"])
 LEVELS = 255
 
 ValueFormat = Literal["u8", "f32"]
+HEADERS = {
+    "Morph-Frame": ("integer", "Index of the frame."),
+    "Morph-Particles": ("integer", "Number of values."),
+    "Morph-Low": ("number", "Value of the byte 0."),
+    "Morph-High": ("number", "Value of the byte 255."),
+    "Morph-Offset": ("number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
+    "Morph-Scale": ("number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
+}
+
 Bound = Annotated[float | None, Query(allow_inf_nan=False)]
 
 
@@ -46,31 +60,13 @@ def list_fields(caller: Reader) -> list[ParticleField]:
     operation_id="getField",
     summary="One number per particle",
     response_class=Response,
-    responses={
-        200: {
-            "content": {BYTES: BINARY},
-            "headers": {
-                name: {"schema": {"type": kind}, "description": meaning}
-                for name, kind, meaning in (
-                    ("Morph-Frame", "integer", "Index of the frame."),
-                    ("Morph-Particles", "integer", "Number of values."),
-                    ("Morph-Low", "number", "Value of the byte 0."),
-                    ("Morph-High", "number", "Value of the byte 255."),
-                    ("Morph-Offset", "number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
-                    ("Morph-Scale", "number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
-                )
-            },
-            "description": "The values, in the order of the particles.",
-        },
-        304: {"description": "You have it already."},
-    },
+    responses=binary_responses("The values, in the order of the particles.", [BYTES], HEADERS),
 )
 async def get_field(
-    job_id: str,
-    index: int,
+    job: VisibleJob,
+    frame: FinishedFrame,
     field: str,
     request: Request,
-    caller: Reader,
     context: Context,
     format: Annotated[ValueFormat, Query(description="How to encode the values.")] = "u8",
     low: Bound = None,
@@ -88,18 +84,16 @@ async def get_field(
         raise ProblemError(
             404, f"There is no field {field[:80]!r}.", f"Fields are {', '.join(FIELDS)}."
         )
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    frame = await anyio.to_thread.run_sync(job_lookup.find_frame, record, index, context)
     etag = await anyio.to_thread.run_sync(_etag, frame, f"{field} {format} {low} {high}")
     headers = etag_headers(etag)
     if answer := not_modified(request, headers):
         return answer
 
     def encoded() -> tuple[bytes, dict[str, str]]:
-        return _encode(_compute(record, frame, field, context), format, low, high)
+        return _encode(_compute(job, frame, field, context), format, low, high)
 
-    body, told = await anyio.to_thread.run_sync(encoded, limiter=context.compute_limiter)
-    headers |= {"Morph-Frame": str(frame.index), **told}
+    body, encoding = await context.compute(encoded)
+    headers |= {"Morph-Frame": str(frame.index), **encoding}
     return Response(body, headers=headers, media_type=BYTES)
 
 
@@ -133,21 +127,21 @@ def _encode(
 
 
 def _compute(
-    record: JobRecord, frame: Frame, name: str, context: ServerContext
+    job: JobRecord, frame: Frame, name: str, context: ServerContext
 ) -> NDArray[np.float32]:
     from morph_engine.results.fields import field
 
-    inputs = job_lookup.find_run_record(record, context)
+    run = find_run_record(job, context)
     det_f = None
     if name == "det_f":
-        det_f = read_det_f(context.storage.result_path(record.id), frame.index)
-    before = job_lookup.find_frame(record, frame.index - 1, context) if frame.index else None
+        det_f = read_det_f(context.storage.result_path(job.id), frame.index)
+    before = find_frame(frame.index - 1, job, context) if frame.index else None
     return field(
         name,
         positions=frame.positions,
         previous=before.positions if before else None,
-        source=inputs.source_points,
-        target=inputs.target_points,
+        source=run.source_points,
+        target=run.target_points,
         det_f=det_f,
     )
 

@@ -1,15 +1,16 @@
-"""What a request asks for of a job: the job itself, a frame, its run record, its result."""
+"""Dependencies of the endpoints of a job: the job itself, a frame, its run record, its result."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import anyio
-from starlette.requests import Request
+from fastapi import Depends, Request
 
 from chamfer_morph.schemas.ids import is_id
-from chamfer_morph.server.context import ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_record
@@ -19,7 +20,7 @@ from chamfer_morph.worker.sandbox.computations import write_partial_result
 from morph_engine.results.run_record import RunRecord
 
 
-def find_job(job_id: str, caller: Caller, context: ServerContext) -> JobRecord:
+def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
     """A job that the caller may see.
 
     Raises:
@@ -31,16 +32,19 @@ def find_job(job_id: str, caller: Caller, context: ServerContext) -> JobRecord:
     return record
 
 
-def find_frame(record: JobRecord, index: int, context: ServerContext) -> Frame:
+VisibleJob = Annotated[JobRecord, Depends(find_job)]
+
+
+def find_frame(index: int, job: VisibleJob, context: Context) -> Frame:
     """A frame of a job; -1 is the last one.
 
     Raises:
         ProblemError: 404.
         ResultError: It is damaged.
     """
-    frame = read_frame(context.storage.result_path(record.id), index)
+    frame = read_frame(context.storage.result_path(job.id), index)
     if frame is None:
-        yet = "" if record.state.finished else " yet"
+        yet = "" if job.state.finished else " yet"
         raise ProblemError(
             404,
             f"There is no frame {index}{yet}.",
@@ -49,15 +53,18 @@ def find_frame(record: JobRecord, index: int, context: ServerContext) -> Frame:
     return frame
 
 
-def find_run_record(record: JobRecord, context: ServerContext) -> RunRecord:
+FinishedFrame = Annotated[Frame, Depends(find_frame)]
+
+
+def find_run_record(job: JobRecord, context: ServerContext) -> RunRecord:
     """What a job is made of.
 
     Raises:
         ProblemError: 404, it has not begun.
     """
-    run = read_record(context.storage.result_path(record.id))
+    run = read_record(context.storage.result_path(job.id))
     if run is None:
-        if record.state.finished:
+        if job.state.finished:
             raise ProblemError(
                 404, "The job never began, and has no particles.", "Retry or resume it."
             )
@@ -69,39 +76,39 @@ def find_run_record(record: JobRecord, context: ServerContext) -> RunRecord:
     return run
 
 
-async def find_result(record: JobRecord, request: Request, context: ServerContext) -> Path:
+async def find_result(job: JobRecord, request: Request, context: ServerContext) -> Path:
     """The result file of a finished job, with all its frames.
 
     Raises:
         ProblemError: 409, there is none.
         MorphError: Its engine was killed, and its frames cannot be made a result.
     """
-    path = context.storage.result_path(record.id)
-    if record.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
+    path = context.storage.result_path(job.id)
+    if job.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
 
         def compute(flight: Flight[None]) -> None:
-            write_partial_result(context.storage, record.id, context.settings, flight.on_start)
+            write_partial_result(context.storage, job.id, context.settings, flight.on_start)
 
-        await context.partial_results.get((record.id,), compute, request)
-    if not record.state.finished or not path.is_file():
+        await context.partial_results.get((job.id,), compute, request)
+    if not job.state.finished or not path.is_file():
         raise ProblemError(
             409,
-            f"The job is {record.state.value.replace('_', ' ')} and has no result.",
+            f"The job is {job.state.value.replace('_', ' ')} and has no result.",
             "Resume or retry it; it has finished no frame."
-            if record.state.finished
+            if job.state.finished
             else "Wait for it to finish; single frames can be fetched while it runs.",
-            headers={} if record.state.finished else {"Retry-After": "5"},
+            headers={} if job.state.finished else {"Retry-After": "5"},
         )
     return path
 
 
-def check_allowed(record: JobRecord, action: Action) -> None:
+def check_allowed(job: JobRecord, action: Action) -> None:
     """Refuse what makes no sense in the state of a job.
 
     Raises:
         ProblemError: 409.
     """
-    if allowed(record.state, action):
+    if allowed(job.state, action):
         return
     remedies = {
         "cancel": "Nothing is left to stop.",
@@ -110,6 +117,4 @@ def check_allowed(record: JobRecord, action: Action) -> None:
         "delete": "Cancel it first.",
     }
     verb = {"cancel": "cancelled", "resume": "resumed", "retry": "retried", "delete": "deleted"}
-    raise ProblemError(
-        409, f"A {record.state.value} job cannot be {verb[action]}.", remedies[action]
-    )
+    raise ProblemError(409, f"A {job.state.value} job cannot be {verb[action]}.", remedies[action])

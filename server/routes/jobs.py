@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Header, Query, Request, Response
+from starlette.datastructures import UploadFile
 
 from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
 from chamfer_morph.schemas.ids import new_id
@@ -16,11 +17,11 @@ from chamfer_morph.server.auth import Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
-from chamfer_morph.server.http.body import media_type
-from chamfer_morph.server.http.json_body import load_json, read_json, validate
-from chamfer_morph.server.http.multipart import receive_form
-from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes import job_lookup, job_view
+from chamfer_morph.server.http.problems import ProblemError, too_large
+from chamfer_morph.server.http.request_body import load_json, media_type, read_json, validate
+from chamfer_morph.server.http.uploads import read_blocks, receive_form, save_upload
+from chamfer_morph.server.routes.job_lookup import VisibleJob, check_allowed, find_job
+from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
 from chamfer_morph.worker.queue import JobRecord
@@ -49,6 +50,7 @@ EXAMPLES: dict[str, Any] = {
     },
 }
 
+# JSON or a form, and the files of a form are streamed: FastAPI has no parameter for either
 SUBMIT_BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -112,9 +114,9 @@ async def submit_job(
     """
     async with AsyncExitStack() as stack:
         if media_type(request) == "multipart/form-data":
-            body = await _with_files(request, caller, context, stack)
+            body = await _receive_form(request, caller, context, stack)
         else:
-            body = await read_json(request, JobRequest, context.settings)
+            body = await read_json(request, JobRequest, context.settings.body_bytes)
         job, new = await anyio.to_thread.run_sync(_submit, body, idempotency_key, caller, context)
     response.status_code = 202 if new else 200
     response.headers["Location"] = f"/v1/jobs/{job.id}"
@@ -149,59 +151,54 @@ def list_jobs(
         limit=limit + 1,
     )
     page, more = records[:limit], len(records) > limit
-    items = b",".join(job_view.to_json(record, context, alone=False) for record in page)
+    items = b",".join(to_json(record, context, alone=False) for record in page)
     following = cursors.encode_cursor(_age(page[-1]), page[-1].id) if more else None
     body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())
     return Response(body, media_type="application/json")
 
 
 @router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
-def get_job(job_id: str, caller: Reader, context: Context) -> Response:
+def get_job(job: VisibleJob, context: Context) -> Response:
     """Where a job stands, how far it has come, and what it left."""
-    record = job_lookup.find_job(job_id, caller, context)
-    return Response(job_view.to_json(record, context), media_type="application/json")
+    return Response(to_json(job, context), media_type="application/json")
 
 
 @router.delete("/{job_id}", status_code=204, operation_id="deleteJob", summary="Delete a job")
-def delete_job(job_id: str, caller: Submitter, context: Context) -> None:
+def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
     """Forget a finished job and all its files."""
-    record = job_lookup.find_job(job_id, caller, context)
-    job_lookup.check_allowed(record, "delete")
-    context.queue.delete(job_id)
-    context.cancel_computations(job_id)
-    context.storage.remove_job(job_id)
-    context.quotas.invalidate(record.owner)
+    check_allowed(job, "delete")
+    context.queue.delete(job.id)
+    context.cancel_computations(job.id)
+    context.storage.remove_job(job.id)
+    context.quotas.invalidate(job.owner)
 
 
 @router.post("/{job_id}/cancel", status_code=202, operation_id="cancelJob", summary="Cancel a job")
-def cancel_job(job_id: str, caller: Submitter, context: Context) -> Job:
+def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Stop a job. The frames it has finished stay; they can be fetched, and it can be resumed."""
-    record = job_lookup.find_job(job_id, caller, context)
-    if record.state is not JobState.CANCELLED:
-        job_lookup.check_allowed(record, "cancel")
-        context.queue.cancel(job_id)
-    return _show(job_id, caller, context)
+    if job.state is not JobState.CANCELLED:
+        check_allowed(job, "cancel")
+        context.queue.cancel(job.id)
+    return to_job(find_job(job.id, caller, context), context)
 
 
 @router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
-def resume_job(job_id: str, caller: Submitter, context: Context) -> Job:
+def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Let a failed, cancelled or timed out job go on from its last frame."""
-    record = job_lookup.find_job(job_id, caller, context)
-    job_lookup.check_allowed(record, "resume")
-    _check_startable(record, context)
-    context.queue.resume(job_id)
-    return _show(job_id, caller, context)
+    check_allowed(job, "resume")
+    _check_startable(job, context)
+    context.queue.resume(job.id)
+    return to_job(find_job(job.id, caller, context), context)
 
 
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
-def retry_job(job_id: str, caller: Submitter, context: Context) -> Job:
+def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Compute a finished job again from the beginning; what it left is deleted."""
-    record = job_lookup.find_job(job_id, caller, context)
-    job_lookup.check_allowed(record, "retry")
-    _check_startable(record, context)
-    context.cancel_computations(job_id)
-    context.queue.retry(job_id)
-    return _show(job_id, caller, context)
+    check_allowed(job, "retry")
+    _check_startable(job, context)
+    context.cancel_computations(job.id)
+    context.queue.retry(job.id)
+    return to_job(find_job(job.id, caller, context), context)
 
 
 def _submit(
@@ -212,50 +209,57 @@ def _submit(
     if not key or context.queue.get(job_id) is None:
         context.quotas.check_jobs(caller.name)
     record, new = submit(submission, job_id=job_id, caller=caller, context=context)
-    return job_view.to_job(record, context), new
+    return to_job(record, context), new
 
 
-async def _with_files(
+async def _receive_form(
     request: Request, caller: Caller, context: ServerContext, stack: AsyncExitStack
 ) -> JobRequest:
     """The request in a form, its files uploaded; nothing is kept if any part of it is wrong."""
-    form = await stack.enter_async_context(
-        receive_form(
-            request,
-            context.storage.uploads,
-            files={"source", "target"},
-            settings=context.settings,
-        )
-    )
-    if "job" not in form.fields or form.fields.keys() != {"job"}:
+    settings = context.settings
+    form = await stack.enter_async_context(receive_form(request, settings.body_bytes))
+    files = {role: form[role] for role in ("source", "target") if role in form}
+    if form.keys() - files.keys() != {"job"}:
         raise ProblemError(
             422,
             "The form needs the parts `job`, `source` and `target`, and no others.",
             "Put the JSON in `job` and the files in `source` and `target`.",
         )
-    body = load_json(form.fields["job"])
-    if not isinstance(body, dict) or body.keys() & form.files.keys():
+    body = load_json(await _text(form["job"], settings.body_bytes))
+    if not isinstance(body, dict) or body.keys() & files.keys():
         raise ProblemError(
             422,
             "The part `job` is no JSON object, or names a shape that comes as a file too.",
             "Leave out of it what is sent as a file.",
         )
-    shapes = {role: {"mesh": upload.sha256} for role, upload in form.files.items()}
-    body = validate(body | shapes, JobRequest)
-    if form.files:
+    uploads = {}
+    for role, file in files.items():
+        if not isinstance(file, UploadFile):
+            raise ProblemError(422, f"The part `{role}` is no file.", "Send it with a file name.")
+        folder, name = context.storage.uploads, file.filename or ""
+        uploads[role] = await stack.enter_async_context(
+            save_upload(read_blocks(file), folder, name, settings.upload_bytes)
+        )
+    shapes = {role: {"mesh": upload.sha256} for role, upload in uploads.items()}
+    job = validate(body | shapes, JobRequest)
+    if uploads:
         await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
-        await store_uploads(list(form.files.values()), request, caller, context)
-    return body
+        await store_uploads(list(uploads.values()), request, caller, context)
+    return job
 
 
-def _show(job_id: str, caller: Caller, context: ServerContext) -> Job:
-    """A job as it is now."""
-    return job_view.to_job(job_lookup.find_job(job_id, caller, context), context)
+async def _text(part: UploadFile | str, max_bytes: int) -> bytes | str:
+    """A part of a form that is short, also where it was sent as a file."""
+    if isinstance(part, str):
+        return part
+    if part.size is None or part.size > max_bytes:
+        raise too_large(max_bytes)
+    return await part.read()
 
 
-def _check_startable(record: JobRecord, context: ServerContext) -> None:
-    context.quotas.check_jobs(record.owner)
-    for shape in (record.spec.source, record.spec.target):
+def _check_startable(job: JobRecord, context: ServerContext) -> None:
+    context.quotas.check_jobs(job.owner)
+    for shape in (job.spec.source, job.spec.target):
         if isinstance(shape, MeshShape) and context.storage.mesh_file(shape.mesh) is None:
             raise ProblemError(
                 409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."

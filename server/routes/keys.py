@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-import anyio
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Body, Request, Response
+from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import Key, KeyRequest, NewKey
 from chamfer_morph.server.auth import Admin, Authenticator
-from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.json_body import read_json
+from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import ProblemError, not_found
 
 router = APIRouter(prefix="/keys", tags=["keys"])
 
-BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {
-                "schema": {"$ref": "#/components/schemas/KeyRequest"},
-                "examples": {
-                    "admin": {
-                        "summary": "A key for whoever runs the service",
-                        "value": {"name": "operator", "scopes": ["admin"]},
-                    }
-                },
-            }
-        },
+EXAMPLES: dict[str, Example] = {
+    "admin": {
+        "summary": "A key for whoever runs the service",
+        "value": {"name": "operator", "scopes": ["admin"]},
     }
 }
 
@@ -39,14 +28,30 @@ def list_keys(caller: Admin, context: Context) -> list[Key]:
     return context.api_keys.all()
 
 
-@router.post("", status_code=201, operation_id="makeKey", summary="Make a key", openapi_extra=BODY)
-async def make_key(request: Request, response: Response, caller: Admin, context: Context) -> NewKey:
+@router.post("", status_code=201, operation_id="makeKey", summary="Make a key")
+def make_key(
+    caller: Admin,
+    body: Annotated[KeyRequest, Body(openapi_examples=EXAMPLES)],
+    request: Request,
+    response: Response,
+    context: Context,
+) -> NewKey:
     """The secret is shown this once. From the first key on, every request needs one."""
-    body = await read_json(request, KeyRequest, context.settings)
-    key = await anyio.to_thread.run_sync(_create, body, context)
+    if "admin" not in body.scopes and not context.api_keys.all():
+        raise ProblemError(
+            409,
+            "The first key must have the scope admin, or nobody could make another.",
+            'Add "admin" to its scopes.',
+        )
+    created = context.api_keys.add(body.name, body.scopes)
+    if created is None:
+        raise ProblemError(
+            409, f"There is a key {body.name!r} already.", "Revoke it, or choose another name."
+        )
     _authenticator(request).invalidate()
-    response.headers["Location"] = f"/v1/keys/{key.name}"
-    return key
+    response.headers["Location"] = f"/v1/keys/{body.name}"
+    key, secret = created
+    return NewKey(**key.model_dump(), secret=secret)
 
 
 @router.delete("/{name}", status_code=204, operation_id="revokeKey", summary="Revoke a key")
@@ -64,22 +69,6 @@ def revoke_key(name: str, request: Request, caller: Admin, context: Context) -> 
         )
     context.api_keys.remove(name)
     _authenticator(request).invalidate()
-
-
-def _create(body: KeyRequest, context: ServerContext) -> NewKey:
-    if "admin" not in body.scopes and not context.api_keys.all():
-        raise ProblemError(
-            409,
-            "The first key must have the scope admin, or nobody could make another.",
-            'Add "admin" to its scopes.',
-        )
-    created = context.api_keys.add(body.name, body.scopes)
-    if created is None:
-        raise ProblemError(
-            409, f"There is a key {body.name!r} already.", "Revoke it, or choose another name."
-        )
-    key, secret = created
-    return NewKey(**key.model_dump(), secret=secret)
 
 
 def _authenticator(request: Request) -> Authenticator:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Query, Request, Response
+from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import JobState, Mesh, MeshPage, MeshShape
@@ -18,11 +19,16 @@ from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.meshes import MeshRow
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http import cursors
-from chamfer_morph.server.http.body import media_type
-from chamfer_morph.server.http.conditional import etag_headers, not_modified
-from chamfer_morph.server.http.multipart import receive_form
+from chamfer_morph.server.http.conditional import file_response
 from chamfer_morph.server.http.problems import ProblemError, not_found
-from chamfer_morph.server.http.uploads import Upload, plain_name, receive_file
+from chamfer_morph.server.http.request_body import media_type
+from chamfer_morph.server.http.uploads import (
+    Upload,
+    plain_name,
+    read_blocks,
+    receive_form,
+    save_upload,
+)
 from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.sandbox.computations import inspect_mesh
 from morph_engine.geometry.mesh import FORMATS
@@ -33,6 +39,7 @@ PAGE = 1000
 
 ARCHIVES = ("zip", "gz", "tar", "tgz", "7z", "rar", "xz")
 
+# streamed to the disk as it comes, which FastAPI has no parameter for
 UPLOAD_BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -74,21 +81,22 @@ async def upload_mesh(
     particles is refused, with the reason. The same file sent again is the same mesh.
     """
     await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
-    folder = context.storage.uploads
+    name = plain_name(name)
     async with AsyncExitStack() as stack:
         if media_type(request) == "multipart/form-data":
             form = await stack.enter_async_context(
-                receive_form(request, folder, files={"file"}, settings=context.settings)
+                receive_form(request, context.settings.body_bytes)
             )
-            if "file" not in form.files:
-                raise ProblemError(422, "The form has no part `file`.", "Send the mesh in it.")
-            upload = form.files["file"]
-            upload.name = plain_name(name) or upload.name
+            file = form.get("file")
+            if not isinstance(file, UploadFile):
+                raise ProblemError(422, "The form has no file `file`.", "Send the mesh in it.")
+            chunks, name = read_blocks(file), name or file.filename or ""
         else:
-            mesh_suffix(plain_name(name))
-            upload = await stack.enter_async_context(
-                receive_file(request, folder, name, context.settings)
-            )
+            mesh_suffix(name)
+            chunks = request.stream()
+        upload = await stack.enter_async_context(
+            save_upload(chunks, context.storage.uploads, name, context.settings.upload_bytes)
+        )
         (row, new), *_ = await store_uploads([upload], request, caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"
     response.status_code = 201 if new else 200
@@ -128,9 +136,13 @@ def get_mesh_file(mesh_id: str, request: Request, caller: Reader, context: Conte
     path = context.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    headers = etag_headers(mesh_id) | {"Cache-Control": "private, max-age=31536000, immutable"}
-    return not_modified(request, headers) or FileResponse(
-        path, headers=headers, filename=row.name, media_type="application/octet-stream"
+    return file_response(
+        request,
+        path,
+        mesh_id,
+        media_type="application/octet-stream",
+        filename=row.name,
+        cache_control="private, max-age=31536000, immutable",
     )
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel, Field
 
 from chamfer_morph.schemas import Fit, FrameFormat
 from chamfer_morph.server.auth import Reader
@@ -24,17 +25,23 @@ router = APIRouter()
 EXTENT = GridConfig().half_extent
 """Half edge of the usual domain [grid units]."""
 
-Density = Annotated[int, Query(ge=1, le=8, description="Lattice points per grid unit and axis.")]
-Placing = Annotated[
-    Fit, Query(description="How to place it; `auto` scales only what does not fit.")
-]
-Format = Annotated[FrameFormat, Query(description="How to encode the positions.")]
-
 RESPONSES = array_encoding.array_responses(
     "Positions of all particles.",
-    Morph_Count=("integer", "Number of particles."),
-    Morph_Warnings=("string", "What to know of the shape: a JSON list of sentences."),
+    {
+        "Morph-Count": ("integer", "Number of particles."),
+        "Morph-Warnings": ("string", "What to know of the shape: a JSON list of sentences."),
+    },
 )
+
+
+class Sampling(BaseModel):
+    """How to fill a shape with particles."""
+
+    points_per_cell_edge: int = Field(
+        3, ge=1, le=8, description="Lattice points per grid unit and axis."
+    )
+    fit: Fit = Field("auto", description="How to place it; `auto` scales only what does not fit.")
+    format: FrameFormat = Field("u16", description="How to encode the positions.")
 
 
 @router.get(
@@ -50,18 +57,15 @@ async def get_mesh_particles(
     request: Request,
     caller: Reader,
     context: Context,
-    points_per_cell_edge: Density = 3,
-    fit: Placing = "auto",
-    format: Format = "u16",
+    sampling: Annotated[Sampling, Query()],
 ) -> Response:
     """The particles that a job would fill the mesh with, encoded as frames are."""
     row = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
     path = context.storage.mesh_file(mesh_id)
     if path is None:
         raise not_found("mesh", mesh_id)
-    preview = await _sample(path, row.name, points_per_cell_edge, fit, request, context)
-    known = context.storage.mesh_report(mesh_id)["warnings"]
-    return await anyio.to_thread.run_sync(_response, request, preview, format, known)
+    warnings = context.storage.mesh_report(mesh_id)["warnings"]
+    return await _particles(path, row.name, warnings, sampling, request, context)
 
 
 @router.get(
@@ -77,38 +81,30 @@ async def get_shape_particles(
     request: Request,
     caller: Reader,
     context: Context,
-    points_per_cell_edge: Density = 3,
-    fit: Placing = "auto",
-    format: Format = "u16",
+    sampling: Annotated[Sampling, Query()],
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
-    preview = await _sample(shape, shape, points_per_cell_edge, fit, request, context)
-    return await anyio.to_thread.run_sync(_response, request, preview, format, [])
+    return await _particles(shape, shape, [], sampling, request, context)
 
 
-async def _sample(
+async def _particles(
     shape: Path | str,
     name: str,
-    points_per_cell_edge: int,
-    fit: Fit,
+    warnings: list[str],
+    sampling: Sampling,
     request: Request,
     context: ServerContext,
-) -> SampledShape:
-    """The particles of a shape; arguments and errors as of `sample_shape`."""
+) -> Response:
+    per_edge, fit = sampling.points_per_cell_edge, sampling.fit
 
     def compute(flight: Flight[SampledShape]) -> SampledShape:
-        return sample_shape(
-            shape, name, points_per_cell_edge, fit, context.settings, flight.on_start
-        )
+        return sample_shape(shape, name, per_edge, fit, context.settings, flight.on_start)
 
-    return await context.previews.get((shape, points_per_cell_edge, fit), compute, request)
-
-
-def _response(
-    request: Request, preview: SampledShape, format: FrameFormat, known: list[str]
-) -> Response:
+    sample = await context.previews.get((shape, per_edge, fit), compute, request)
     headers = {
-        "Morph-Count": str(len(preview.positions)),
-        "Morph-Warnings": json.dumps([*known, *preview.warnings]),
+        "Morph-Count": str(len(sample.positions)),
+        "Morph-Warnings": json.dumps([*warnings, *sample.warnings]),
     }
-    return array_encoding.array_response(request, preview.positions, format, EXTENT, headers)
+    return await anyio.to_thread.run_sync(
+        array_encoding.array_response, request, sample.positions, sampling.format, EXTENT, headers
+    )

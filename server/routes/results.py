@@ -14,11 +14,11 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
-from chamfer_morph.server.http.conditional import etag_headers, not_modified
-from chamfer_morph.server.routes import job_lookup, job_view
+from chamfer_morph.server.http.conditional import binary_responses, file_response
+from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_result
+from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.digest import file_sha256
 
@@ -35,35 +35,22 @@ TABLES_KEPT = 64
     operation_id="getResult",
     summary="Download the result",
     response_class=Response,
-    responses={
-        200: {"content": {HDF5: array_encoding.BINARY}, "description": "The file."},
-        206: {
-            "content": {HDF5: array_encoding.BINARY},
-            "description": "The part asked for with Range.",
-        },
-        304: {"description": "You have it already."},
-    },
+    responses=binary_responses("The file.", [HDF5], ranges=True),
 )
-async def get_result(job_id: str, request: Request, caller: Reader, context: Context) -> Response:
+async def get_result(job: VisibleJob, request: Request, context: Context) -> Response:
     """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
 
     Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
     leaves the frames it had finished.
     """
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    path = await job_lookup.find_result(record, request, context)
-    if record.outcome is not None:
-        digest = record.outcome.sha256
+    path = await find_result(job, request, context)
+    if job.outcome is not None:
+        digest = job.outcome.sha256
     else:
-        seen = path.stat()
-        digest = await anyio.to_thread.run_sync(_digest, path, seen.st_mtime_ns, seen.st_size)
-    headers = etag_headers(digest)
-    return not_modified(request, headers) or FileResponse(
-        path,
-        headers=headers,
-        media_type=HDF5,
-        filename=f"{job_view.file_stem(record)}.vtkhdf",
-    )
+        stat = path.stat()
+        digest = await anyio.to_thread.run_sync(_digest, path, stat.st_mtime_ns, stat.st_size)
+    filename = f"{file_stem(job)}.vtkhdf"
+    return file_response(request, path, digest, media_type=HDF5, filename=filename)
 
 
 @router.get(
@@ -72,15 +59,13 @@ async def get_result(job_id: str, request: Request, caller: Reader, context: Con
     summary="Fetch one frame",
     response_class=Response,
     responses=array_encoding.array_responses(
-        "Positions of all particles.", Morph_Frame=("integer", "Index of the frame.")
+        "Positions of all particles.", {"Morph-Frame": ("integer", "Index of the frame.")}
     ),
 )
 def get_frame(
-    job_id: str,
-    index: int,
+    job: VisibleJob,
+    frame: FinishedFrame,
     request: Request,
-    caller: Reader,
-    context: Context,
     format: Annotated[FrameFormat, Query(description="How to encode the positions.")] = "f32",
 ) -> Response:
     """Particle positions of a finished frame, also while the job runs. Frames count from 0; -1 is
@@ -90,12 +75,9 @@ def get_frame(
     little-endian uint16 likewise; position = Morph-Offset + Morph-Scale x value. `ply`: a binary
     PLY point cloud. `npy`: a NumPy array of shape [n, 3].
     """  # noqa: D205
-    record = job_lookup.find_job(job_id, caller, context)
-    frame = job_lookup.find_frame(record, index, context)
-    extent = float(record.spec.config["grid"]["half_extent"])
-    return array_encoding.array_response(
-        request, frame.positions, format, extent, {"Morph-Frame": str(frame.index)}
-    )
+    extent = float(job.spec.config["grid"]["half_extent"])
+    headers = {"Morph-Frame": str(frame.index)}
+    return array_encoding.array_response(request, frame.positions, format, extent, headers)
 
 
 @router.get(
@@ -106,22 +88,20 @@ def get_frame(
     responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
 )
 def get_metrics(
-    job_id: str,
-    caller: Reader,
+    job: VisibleJob,
     context: Context,
     format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
 ) -> Any:
     """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
-    job_lookup.find_job(job_id, caller, context)
-    log = context.storage.events(job_id)
+    log = context.storage.events(job.id)
     media_type = "application/json" if format == "json" else "text/csv; charset=utf-8"
     return Response(_metrics(log, log.version(), format), media_type=media_type)
 
 
 @router.get("/config", operation_id="getConfig", summary="The resolved configuration")
-def get_config(job_id: str, caller: Reader, context: Context) -> dict[str, Any]:
+def get_config(job: VisibleJob) -> dict[str, Any]:
     """Every setting that the job runs with."""
-    return job_lookup.find_job(job_id, caller, context).spec.config
+    return job.spec.config
 
 
 @router.get(
@@ -131,10 +111,9 @@ def get_config(job_id: str, caller: Reader, context: Context) -> dict[str, Any]:
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def get_log(job_id: str, caller: Reader, context: Context) -> Response:
+def get_log(job: VisibleJob, context: Context) -> Response:
     """Warnings and errors of the processes that computed the job, as text."""
-    job_lookup.find_job(job_id, caller, context)
-    path = context.storage.job_dir(job_id) / "log.txt"
+    path = context.storage.job_dir(job.id) / "log.txt"
     if not path.is_file():
         return Response("", media_type="text/plain; charset=utf-8")
     return FileResponse(path, media_type="text/plain; charset=utf-8")

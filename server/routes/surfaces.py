@@ -10,12 +10,15 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import SurfaceFormat, Units
-from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.array_encoding import BINARY, PLY
-from chamfer_morph.server.http.conditional import etag_headers, not_modified
+from chamfer_morph.server.http.array_encoding import PLY
+from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
 from chamfer_morph.server.http.problems import not_found
-from chamfer_morph.server.routes import job_lookup
+from chamfer_morph.server.routes.job_lookup import (
+    FinishedFrame,
+    VisibleJob,
+    find_run_record,
+)
 from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.sandbox.computations import reconstruct_surface
@@ -42,23 +45,12 @@ HEADERS: dict[str, tuple[str, str]] = {
     operation_id="getSurface",
     summary="The surface of a frame",
     response_class=Response,
-    responses={
-        200: {
-            "content": {media_type: BINARY for media_type in MEDIA_TYPES.values()},
-            "headers": {
-                name: {"schema": {"type": kind}, "description": meaning}
-                for name, (kind, meaning) in HEADERS.items()
-            },
-            "description": "A triangle mesh.",
-        },
-        304: {"description": "You have it already."},
-    },
+    responses=binary_responses("A triangle mesh.", MEDIA_TYPES.values(), HEADERS),
 )
 async def get_surface(
-    job_id: str,
-    index: int,
+    job: VisibleJob,
+    frame: FinishedFrame,
     request: Request,
-    caller: Reader,
     context: Context,
     format: Annotated[SurfaceFormat, Query(description="Of the file.")] = "glb",
     units: Annotated[
@@ -70,27 +62,23 @@ async def get_surface(
     It is computed when it is first asked for, which takes seconds, and kept with the job. The
     headers tell whether it is closed and how far it lies from the target mesh.
     """
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    frame = await anyio.to_thread.run_sync(job_lookup.find_frame, record, index, context)
-    path = context.storage.surface_path(job_id, frame.index)
+    path = context.storage.surface_path(job.id, frame.index)
 
     def compute(flight: Flight[None]) -> None:
-        reconstruct_surface(context.storage, job_id, frame.index, context.settings, flight.on_start)
+        reconstruct_surface(context.storage, job.id, frame.index, context.settings, flight.on_start)
 
     if not await anyio.Path(path).exists():
-        await anyio.to_thread.run_sync(context.quotas.check_disk, record.owner)
-        await context.surfaces.get((job_id, frame.index), compute, request)
+        await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
+        await context.surfaces.get((job.id, frame.index), compute, request)
     try:
         etag = await anyio.to_thread.run_sync(_etag, path, format, units)
         headers = etag_headers(etag)
         if answer := not_modified(request, headers):
             return answer
-        body, told = await anyio.to_thread.run_sync(
-            _encode, record, frame.index, format, units, context, limiter=context.compute_limiter
-        )
+        body, report = await context.compute(_encode, job, frame.index, format, units, context)
     except FileNotFoundError:  # deleted meanwhile
-        raise not_found("job", job_id) from None
-    return Response(body, headers=headers | told, media_type=MEDIA_TYPES[format])
+        raise not_found("job", job.id) from None
+    return Response(body, headers=headers | report, media_type=MEDIA_TYPES[format])
 
 
 def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
@@ -100,24 +88,24 @@ def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
 
 
 def _encode(
-    record: JobRecord, index: int, format: SurfaceFormat, units: Units, context: ServerContext
+    job: JobRecord, index: int, format: SurfaceFormat, units: Units, context: ServerContext
 ) -> tuple[bytes, dict[str, str]]:
-    """A surface that is there as a file, and what to tell of it."""
+    """A surface that is there as a file, and headers that describe it."""
     import trimesh
 
-    surface = StoredSurface.load(context.storage.surface_path(record.id, index))
+    surface = StoredSurface.load(context.storage.surface_path(job.id, index))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if units == "user":
-        mesh.apply_transform(job_lookup.find_run_record(record, context).transform)
+        mesh.apply_transform(find_run_record(job, context).transform)
     file = io.BytesIO()
     mesh.export(file, file_type=format, **({"include_normals": True} if format == "glb" else {}))
-    told: dict[str, Any] = {
+    headers: dict[str, Any] = {
         "Morph-Frame": index,
         "Morph-Watertight": str(surface.report["watertight"]).lower(),
         "Morph-Bodies": surface.report["bodies"],
         "Morph-Largest": round(surface.report["largest"], 6),
     }
     if deviation := surface.report.get("deviation"):
-        told["Morph-Deviation-Mean"] = round(deviation["mean"], 6)
-        told["Morph-Deviation-Max"] = round(deviation["max"], 6)
-    return file.getvalue(), {name: str(value) for name, value in told.items()}
+        headers["Morph-Deviation-Mean"] = round(deviation["mean"], 6)
+        headers["Morph-Deviation-Max"] = round(deviation["max"], 6)
+    return file.getvalue(), {name: str(value) for name, value in headers.items()}

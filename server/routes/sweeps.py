@@ -7,8 +7,8 @@ import io
 from itertools import product
 from typing import Annotated, Any, Literal
 
-import anyio
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Body, Query, Response
+from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.ids import is_id, new_id
@@ -17,7 +17,6 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.sweeps import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
-from chamfer_morph.server.http.json_body import read_json
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
 from chamfer_morph.server.submission import (
@@ -35,24 +34,14 @@ router = APIRouter(prefix="/sweeps", tags=["sweeps"])
 JOBS = 1000
 """Most jobs of a sweep."""
 
-BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {
-                "schema": {"$ref": "#/components/schemas/SweepRequest"},
-                "examples": {
-                    "methods": {
-                        "summary": "Two methods on two targets",
-                        "value": {
-                            "sources": [{"shape": "sphere"}],
-                            "targets": [{"shape": "star"}, {"shape": "torus"}],
-                            "methods": ["joint", "physics"],
-                            "frames": 12,
-                        },
-                    }
-                },
-            }
+EXAMPLES: dict[str, Example] = {
+    "methods": {
+        "summary": "Two methods on two targets",
+        "value": {
+            "sources": [{"shape": "sphere"}],
+            "targets": [{"shape": "star"}, {"shape": "torus"}],
+            "methods": ["joint", "physics"],
+            "frames": 12,
         },
     }
 }
@@ -63,15 +52,14 @@ BODY: dict[str, Any] = {
     status_code=202,
     operation_id="submitSweep",
     summary="Submit a sweep",
-    openapi_extra=BODY,
     responses={
         200: {"model": Sweep, "description": "This Idempotency-Key has made this sweep before."}
     },
 )
-async def submit_sweep(
-    request: Request,
-    response: Response,
+def submit_sweep(
     caller: Submitter,
+    body: Annotated[SweepRequest, Body(openapi_examples=EXAMPLES)],
+    response: Response,
     context: Context,
     idempotency_key: IdempotencyKey = None,
 ) -> Sweep:
@@ -79,8 +67,7 @@ async def submit_sweep(
 
     If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
     """
-    wanted = await read_json(request, SweepRequest, context.settings)
-    sweep, new = await anyio.to_thread.run_sync(_submit, wanted, idempotency_key, caller, context)
+    sweep, new = _submit(body, idempotency_key, caller, context)
     response.status_code = 202 if new else 200
     response.headers["Location"] = f"/v1/sweeps/{sweep.id}"
     response.headers["Retry-After"] = RETRY_AFTER
@@ -111,19 +98,19 @@ def get_sweep(
 
 
 def _submit(
-    wanted: SweepRequest, key: str | None, caller: Caller, context: ServerContext
+    request: SweepRequest, key: str | None, caller: Caller, context: ServerContext
 ) -> tuple[Sweep, bool]:
-    combinations = list(product(wanted.sources, wanted.targets, wanted.methods, wanted.seeds))
+    combinations = list(product(request.sources, request.targets, request.methods, request.seeds))
     if len(combinations) > JOBS:
         raise ProblemError(
             422, f"This makes {len(combinations)} jobs, more than {JOBS}.", "Split the sweep."
         )
-    body = body_digest(wanted.model_dump(mode="json"))
+    digest = body_digest(request.model_dump(mode="json"))
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
     before = context.sweeps.get(sweep_id)
-    if before is not None and before.body != body:
+    if before is not None and before.body != digest:
         raise idempotency_conflict()
-    common = wanted.model_dump(
+    common = request.model_dump(
         include={"preset", "overrides", "frames", "name", "device", "priority", "timeout_seconds"}
     )
     submissions = [
@@ -136,7 +123,7 @@ def _submit(
     ]
     if before is None:
         context.quotas.check_jobs(caller.name, len(submissions))
-    stored = context.sweeps.add(sweep_id, caller.name, wanted.name, body)
+    stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
     for index, submission in enumerate(submissions):
         job_id = idempotent_id(f"job {index}", caller, sweep_id)
         submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)

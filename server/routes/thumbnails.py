@@ -8,12 +8,10 @@ from pathlib import Path
 import anyio
 from fastapi import APIRouter, Request, Response
 
-from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.array_encoding import BINARY
-from chamfer_morph.server.http.conditional import bytes_response
+from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes import job_lookup
+from chamfer_morph.server.routes.job_lookup import VisibleJob, find_frame
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.config import MorphConfig
@@ -30,35 +28,29 @@ WEBP = "image/webp"
     operation_id="getThumbnail",
     summary="A small picture",
     response_class=Response,
-    responses={
-        200: {"content": {WEBP: BINARY}, "description": "240 x 180 pixels of the newest frame."},
-        304: {"description": "You have it already."},
-    },
+    responses=binary_responses("240 x 180 pixels of the newest frame.", [WEBP]),
 )
-async def get_thumbnail(
-    job_id: str, request: Request, caller: Reader, context: Context
-) -> Response:
+async def get_thumbnail(job: VisibleJob, request: Request, context: Context) -> Response:
     """A picture of the newest frame, also while the job runs; its ETag changes with it."""
-    record = await anyio.to_thread.run_sync(job_lookup.find_job, job_id, caller, context)
-    path = await anyio.to_thread.run_sync(_path, record, context)
+    path = await anyio.to_thread.run_sync(_path, job, context)
     try:
         body = await anyio.Path(path).read_bytes()
     except FileNotFoundError:
         body = await context.thumbnails.get(
-            (job_id, path.name), lambda _: _draw(path, record, context), request
+            (job.id, path.name), lambda _: _draw(path, job, context), request
         )
     return bytes_response(request, body, WEBP)
 
 
-def _draw(path: Path, record: JobRecord, context: ServerContext) -> bytes:
+def _draw(path: Path, job: JobRecord, context: ServerContext) -> bytes:
     """Draw the newest frame, and keep the picture."""
     from morph_engine.rendering.pictures import thumbnail
 
-    frame = job_lookup.find_frame(record, -1, context)
-    spacing = MorphConfig.model_validate(record.spec.config).spacing
+    frame = find_frame(-1, job, context)
+    spacing = MorphConfig.model_validate(job.spec.config).spacing
     picture: bytes = thumbnail(frame.positions, spacing)
     with suppress(OSError, ResultError):  # the disk is full, or the job has been deleted
-        context.storage.make_derived_dirs(record.id)
+        context.storage.make_derived_dirs(job.id)
         with replacing(path) as temporary:
             temporary.write_bytes(picture)
         for older in path.parent.glob("thumbnail-*.webp"):
@@ -67,13 +59,13 @@ def _draw(path: Path, record: JobRecord, context: ServerContext) -> bytes:
     return picture
 
 
-def _path(record: JobRecord, context: ServerContext) -> Path:
+def _path(job: JobRecord, context: ServerContext) -> Path:
     """Where the picture of the newest frame lies, named by the number of frames there are.
 
     Raises:
         ProblemError: 404, there is no frame yet.
     """
-    count = count_frames(context.storage.result_path(record.id))
+    count = count_frames(context.storage.result_path(job.id))
     if not count:
         raise ProblemError(404, "There is no frame yet.", "Wait until the job has finished one.")
-    return context.storage.derived_dir(record.id) / f"thumbnail-{count:06d}.webp"
+    return context.storage.derived_dir(job.id) / f"thumbnail-{count:06d}.webp"

@@ -13,7 +13,7 @@ import pytest
 from chamfer_morph.schemas import ProblemDocument
 from chamfer_morph.server.app import create_app
 from chamfer_morph.server.auth import CACHE_SECONDS
-from chamfer_morph.server.openapi import text
+from chamfer_morph.server.http.openapi import text
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api

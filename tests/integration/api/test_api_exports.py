@@ -220,7 +220,7 @@ def test_a_deleted_job_ends_what_is_computed_from_it(api: Api, run: RunRecord) -
 def test_the_contract_names_every_kind_of_file() -> None:
     """Of exports; the list is written down, because the formats are slow to import."""
     kinds = {format.media_type for format in FORMATS.values()}
-    assert set(exports.FILES) == kinds | {"application/zip"}
+    assert set(exports.MEDIA_TYPES) == kinds | {"application/zip"}
 
 
 def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) -> None:

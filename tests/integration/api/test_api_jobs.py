@@ -9,6 +9,7 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+import pytest
 
 from morph_engine import configure
 from morph_engine.morphing import prepare
@@ -59,6 +60,25 @@ def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:
         assert answer.status_code == 422, answer.text
     assert api.http.post("/v1/jobs", content=b"{}").status_code == 415
     assert not api.http.get("/v1/jobs").json()["items"]
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs", "/v1/sweeps", "/v1/keys"])
+def test_bodies_that_are_no_json_are_refused_alike(make_api: Callable[..., Api], path: str) -> None:
+    """Whatever reads them: not JSON, too deep, too large, of another type, of another shape."""
+    api = make_api(body_bytes=200_000)
+    kind = {"Content-Type": "application/json"}
+    for body in (b"", b"{", b"[" * 100_000, b'"\xff"', b"null", b"[]", b'{"name": NaN}'):
+        answer = api.http.post(path, content=body, headers=kind)
+        assert answer.status_code == 422 and answer.json()["remedy"], (body[:20], answer.text)
+    broken = api.http.post(path, content=b'{"name": 1,}', headers=kind).json()
+    assert broken["detail"].startswith("The body is not JSON: ")
+    assert api.http.post(path, content=b"{}", headers={"Content-Type": "x/y"}).status_code == 415
+    assert api.http.post(path, content=b"{}").status_code == 415
+    large = api.http.post(path, json={"name": "x" * 200_000})
+    assert large.status_code == 413 and "200000 bytes" in large.json()["detail"]
+    assert large.headers["Retry-After"]
+    fault = api.http.post(path, json={"unknown": 1}).json()
+    assert ["unknown"] in [error["loc"] for error in fault["errors"]]
 
 
 def test_a_repeated_submit_is_one_job(either: Api) -> None:
@@ -146,6 +166,11 @@ def test_a_sweep_with_a_fault_makes_no_job(api: Api) -> None:
     many = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}], "seeds": [1] * 100}
     many |= {"methods": ["joint"] * 20}
     assert api.http.post("/v1/sweeps", json=many).status_code == 422
+    endless = (
+        b'{"sources":[{"shape":"sphere"}],"targets":[{"shape":"star"}],"timeout_seconds":Infinity}'
+    )
+    kind = {"Content-Type": "application/json"}
+    assert api.http.post("/v1/sweeps", content=endless, headers=kind).status_code == 422
     assert not api.http.get("/v1/jobs").json()["items"]
 
 

@@ -121,6 +121,16 @@ def test_a_stalled_upload_is_dropped(make_api: Callable[..., Api]) -> None:
     assert not api.uploads()
 
 
+def test_a_stalled_body_is_dropped(make_api: Callable[..., Api]) -> None:
+    """JSON that stops coming is answered 408 too, wherever it is sent."""
+    api = make_api(upload_timeout_seconds=0.3)
+    for path in ("/v1/jobs", "/v1/sweeps"):
+        with _begin(api, length=1000, path=path, kind="application/json") as stream:
+            stream.sendall(b'{"name": ')
+            status = stream.makefile("rb").readline()
+        assert b" 408 " in status, path
+
+
 def test_a_slow_upload_arrives(make_api: Callable[..., Api], cube: bytes) -> None:
     """Slow is not stalled: pieces within the limit of each other are waited for."""
     api = make_api(upload_timeout_seconds=1)
@@ -154,6 +164,27 @@ def test_broken_forms_are_refused(api: Api, cube: bytes) -> None:
     assert not api.uploads()
 
 
+def test_a_form_is_bounded(make_api: Callable[..., Api]) -> None:
+    """Too many parts, and text that is too long, are refused as too large."""
+    api = make_api(body_bytes=1000)
+    many = {f"part{i}": "x" for i in range(17)}
+    long = {"job": "{}" + " " * 1000}
+    file = {"source": ("cube.obj", b"v 0 0 0")}
+    for data in (many, long):
+        assert api.http.post("/v1/jobs", data=data, files=file).status_code == 413
+    as_file = {"job": ("job.json", b"{}" + b" " * 1000)} | file
+    assert api.http.post("/v1/jobs", files=as_file).status_code == 413
+    assert not api.uploads()
+
+
+def test_the_json_of_a_form_may_be_a_file(api: Api, cube: bytes) -> None:
+    """As `curl -F job=@job.json` sends it."""
+    job = b'{"target": {"shape": "star"}, "overrides": {"sampling.fit": "volume"}}'
+    form = {"job": ("job.json", job), "source": ("cube.obj", cube)}
+    answer = api.http.post("/v1/jobs", files=form)
+    assert answer.status_code == 202 and answer.json()["source_name"] == "cube.obj", answer.text
+
+
 def test_a_job_with_both_files_in_one_form(api: Api, cube: bytes) -> None:
     """Both meshes are kept and the job names them; if one is bad, neither is kept."""
     bad = {"source": ("cube.obj", cube), "target": ("bad.obj", b"nothing")}
@@ -185,12 +216,14 @@ def test_meshes_come_in_pages(either: Api, cube: bytes) -> None:
     assert seen == names[::-1]
 
 
-def _begin(api: Api, length: int) -> socket.socket:
+def _begin(
+    api: Api, length: int, path: str = "/v1/meshes?name=a.obj", kind: str = "model/obj"
+) -> socket.socket:
     """A connection with the head of an upload sent."""
     url = api.http.base_url
     stream = socket.create_connection((url.host, url.port or 80), timeout=10)
     stream.sendall(
-        f"POST /v1/meshes?name=a.obj HTTP/1.1\r\nHost: {url.host}\r\n"
+        f"POST {path} HTTP/1.1\r\nHost: {url.host}\r\nContent-Type: {kind}\r\n"
         f"Content-Length: {length}\r\n\r\n".encode()
     )
     return stream
