@@ -1,35 +1,11 @@
-"""Parsing of options: settings, frames, sizes, output files."""
+"""Parsing of options: frames, sizes, lists, output files."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 from morph_engine.errors import ConfigError, ResultError
-
-
-def parse_overrides(
-    settings: list[str] | None,
-    *,
-    points_per_cell_edge: int | None,
-    fit: str | None,
-    **options: object,
-) -> dict[str, Any]:
-    """Settings by dotted path: those of options of their own, and `path=value` as after --set.
-
-    Raises:
-        ConfigError: One has no equals sign.
-    """
-    for setting in settings or ():
-        if "=" not in setting:
-            raise ConfigError(
-                f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
-            )
-    options["sampling.points_per_cell_edge"] = points_per_cell_edge
-    options["sampling.fit"] = fit
-    chosen = {path: value for path, value in options.items() if value is not None}
-    return chosen | dict(setting.split("=", 1) for setting in settings or ())
 
 
 def parse_frames(text: str | None) -> list[int] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import sys
@@ -11,6 +10,7 @@ from importlib import metadata
 
 import typer
 
+from chamfer_morph.cli.output import error_document, print_json
 from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError
 
@@ -56,30 +56,6 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         print_json(error_document(problem))
     sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
     return status
-
-
-def error_document(error: MorphError) -> dict[str, dict[str, str]]:
-    """An error as the JSON that every command prints for it."""
-    return {"error": {"cause": error.cause, "remedy": error.remedy}}
-
-
-def print_json(document: object) -> None:
-    """Write one JSON object to standard output; models are dumped, inf and nan become null."""
-    text = json.dumps(_finite(document), indent=2)
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if hasattr(value, "model_dump"):
-        return _finite(value.model_dump(mode="json"))
-    if isinstance(value, float) and not abs(value) < float("inf"):
-        return None
-    return value
 
 
 def _usage_error(error: typer.TyperException) -> MorphError:

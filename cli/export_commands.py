@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.progress import Progress
 
-from chamfer_morph.cli.exit_status import print_json
+from chamfer_morph.cli.arguments import check_output, parse_frames, parse_list, parse_size
 from chamfer_morph.cli.interrupt import removing
-from chamfer_morph.cli.options import (
-    ForceOption,
-    FramesOption,
-    JsonOption,
-    KeyOption,
-    QuietOption,
-    ServerOption,
-    connect,
-)
+from chamfer_morph.cli.option_groups import expand_groups
+from chamfer_morph.cli.options import ForceOption, QuietOption, ServiceOptions
+from chamfer_morph.cli.progress_display import ProgressDisplay
+from chamfer_morph.cli.tables import format_size
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -35,113 +31,104 @@ app: typer.Typer = typer.Typer()
 ResultArgument = Annotated[
     str, typer.Argument(metavar="RESULT", help="A result file, or the id of a job of the service.")
 ]
-SurfaceOption = Annotated[
-    bool, typer.Option("--surface", help="A surface around the particles in their place.")
-]
+
+
+@dataclass(frozen=True)
+class SelectionOptions:
+    """Which frames of a result are written, and how."""
+
+    frames: Annotated[
+        str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
+    ] = None
+    surface: Annotated[
+        bool, typer.Option("--surface", help="A surface around the particles in their place.")
+    ] = False
+    force: ForceOption = False
+    quiet: QuietOption = False
 
 
 @app.command(rich_help_panel=PANEL)
+@expand_groups
 def export(
     result: ResultArgument,
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="The file; a .zip or a folder for many frames of a kind."),
     ],
+    *,
     format: Annotated[
         str | None,
         typer.Option(
             help="ply, obj, glb, stl, usd, npz, csv, mp4 or gif; by the file's ending if not given."
         ),
     ] = None,
-    frames: FramesOption = None,
-    surface: SurfaceOption = False,
     units: Annotated[
         Literal["user", "grid"], typer.Option(help="Coordinates: of your files, or grid units.")
     ] = "user",
     fields: Annotated[
         str, typer.Option(metavar="A,B", help="Fields to carry along, such as speed,det_f.")
     ] = "",
-    force: ForceOption = False,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
+    selection: SelectionOptions,
+    service: ServiceOptions,
 ) -> None:
     """Write frames of a result for other programs; docs/exports.md has the formats."""
-    from chamfer_morph.cli.arguments import check_output, parse_frames, parse_list
     from morph_engine import export as exports
 
     name = format or _format_by_suffix(out, exports.FORMATS)
     chosen = parse_list(fields)
-    exports.check(name, surface=surface, fields=chosen)
-    wanted = parse_frames(frames)
-    check_output(out, force=force, folder=True)
-    with (
-        _local_file(result, server, key) as path,
-        _removing_unfinished(out),
-        _progress(quiet=quiet or as_json) as watch,
-    ):
+    exports.check(name, surface=selection.surface, fields=chosen)
+    frames = parse_frames(selection.frames)
+    with _written_file(result, out, selection, service, format=name) as (path, show_progress):
         exports.export(
             path,
             out,
             name,
-            frames=wanted,
-            surface=surface,
+            frames=frames,
+            surface=selection.surface,
             units=units,
             fields=chosen,
-            watch=watch,
+            watch=show_progress,
         )
-    _report(out, as_json=as_json, format=name)
 
 
 @app.command(rich_help_panel=PANEL)
+@expand_groups
 def render(
     result: ResultArgument,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="The video; .mp4 (pip install .\\[video]) or .gif.")
     ],
+    *,
     color: Annotated[
         str | None,
         typer.Option(metavar="FIELD", help="Colour by a field, such as speed or target_distance."),
     ] = None,
-    surface: SurfaceOption = False,
     turntable: Annotated[
         bool, typer.Option("--turntable", help="Turn once around the shape.")
     ] = False,
-    frames: FramesOption = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Pixels.")] = "960x720",
     fps: Annotated[float, typer.Option(min=1, max=60, help="Frames per second.")] = 12.0,
     up: Annotated[Literal["y", "z"], typer.Option(help="The upward axis.")] = "y",
-    force: ForceOption = False,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
+    selection: SelectionOptions,
+    service: ServiceOptions,
 ) -> None:
     """Make a video of a result."""
-    from chamfer_morph.cli.arguments import check_output, parse_frames, parse_size
     from morph_engine.rendering.pictures import video
 
-    pixels, wanted = parse_size(size), parse_frames(frames)
-    check_output(out, force=force, folder=True)
-    with (
-        _local_file(result, server, key) as path,
-        _removing_unfinished(out),
-        _progress(quiet=quiet or as_json) as watch,
-    ):
+    pixels, frames = parse_size(size), parse_frames(selection.frames)
+    with _written_file(result, out, selection, service) as (path, show_progress):
         video(
             path,
             out,
             field=color,
             turntable=turntable,
-            surface=surface,
+            surface=selection.surface,
             size=pixels,
             fps=fps,
-            frames=wanted,
+            frames=frames,
             up=up,
-            watch=watch,
+            watch=show_progress,
         )
-    _report(out, as_json=as_json)
 
 
 def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
@@ -154,7 +141,31 @@ def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
 
 
 @contextmanager
-def _local_file(result: str, server: str | None, key: str | None) -> Iterator[Path]:
+def _written_file(
+    result: str, out: Path, selection: SelectionOptions, service: ServiceOptions, **more: str
+) -> Iterator[tuple[Path, Callable[[int, int], None]]]:
+    """Within, a file is written; Ctrl-C leaves nothing of it. Prints its size at the end.
+
+    Yields:
+        The result to write it from, and what shows how many frames are done.
+    """
+    check_output(out, force=selection.force, folder=True)
+    quiet = selection.quiet or service.as_json
+    with (
+        _local_file(result, service) as path,
+        removing(out.absolute().parent, f"{escape(out.name)}.tmp*"),
+        ProgressDisplay(*Progress.get_default_columns(), quiet=quiet) as display,
+    ):
+        yield path, display.add_bar("frames")
+    files = [out] if out.is_file() else sorted(out.iterdir())
+    byte_count = sum(file.stat().st_size for file in files)
+    service.print(
+        {"out": str(out), "size_bytes": byte_count, **more}, f"{out} ({format_size(byte_count)})"
+    )
+
+
+@contextmanager
+def _local_file(result: str, service: ServiceOptions) -> Iterator[Path]:
     """The result file, fetched from the service where a job is named."""
     from chamfer_morph.schemas.ids import is_id
 
@@ -165,35 +176,8 @@ def _local_file(result: str, server: str | None, key: str | None) -> Iterator[Pa
     with (
         tempfile.TemporaryDirectory() as folder,
         removing(Path(folder).parent, Path(folder).name),
-        connect(server, key) as client,
+        service.connect() as client,
     ):
         fetched = Path(folder) / f"{result}.vtkhdf"
         client.download(result, fetched)
         yield fetched
-
-
-def _removing_unfinished(out: Path) -> AbstractContextManager[None]:
-    """Within, Ctrl-C leaves nothing of what is being written."""
-    return removing(out.absolute().parent, f"{escape(out.name)}.tmp*")
-
-
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    from rich.progress import Progress
-
-    from chamfer_morph.cli.progress_display import ProgressDisplay
-
-    with ProgressDisplay(*Progress.get_default_columns(), quiet=quiet) as display:
-        yield display.add_bar("frames")
-
-
-def _report(out: Path, *, as_json: bool, **more: str) -> None:
-    from chamfer_morph.cli.tables import size
-
-    files = [out] if out.is_file() else sorted(out.iterdir())
-    byte_count = sum(file.stat().st_size for file in files)
-    if as_json:
-        print_json({"out": str(out), "size_bytes": byte_count, **more})
-    else:
-        typer.echo(f"{out} ({size(byte_count)})")
-    sys.stdout.flush()

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from chamfer_morph.cli.exit_status import print_json
 from chamfer_morph.cli.options import JsonOption
+from chamfer_morph.cli.output import print_json
 
 app: typer.Typer = typer.Typer()
 

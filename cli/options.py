@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from morph_engine.device import Device
+from chamfer_morph.cli.output import print_result
+from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
     from chamfer_morph.client import MorphClient
@@ -17,65 +20,114 @@ FIT_HELP = "Scale to the usual volume, to touch the domain, or keep the file's c
 
 Fit = Literal["volume", "extent", "none"]
 
-# what to morph
-
 TargetArgument = Annotated[str, typer.Argument(metavar="TARGET", help="What it is to become.")]
 MethodOption = Annotated[str | None, typer.Option(help="See morph methods.")]
-PresetOption = Annotated[str, typer.Option(help="See morph presets.")]
-FrameCountOption = Annotated[int | None, typer.Option(help="Frames to compute.")]
-PointsOption = Annotated[
-    int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
-]
-FitOption = Annotated[Fit | None, typer.Option(help=FIT_HELP)]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of every random choice.")]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Any setting; see morph presets fast."),
-]
-DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
-
-# results
-
-FramesOption = Annotated[
-    str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
+DeviceOption = Annotated[
+    Literal["auto", "cpu", "cuda", "vulkan", "metal"], typer.Option(help="Where to compute.")
 ]
 ResultFileOption = Annotated[
     Path | None, typer.Option(help="Result file; SOURCE-to-TARGET.vtkhdf if not given.")
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file.")]
+WatchOption = Annotated[bool, typer.Option("--watch", help="Show progress until the end.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-
-# jobs of a service
-
-JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="Id of a job.")]
-PriorityOption = Annotated[int, typer.Option(help="1 to 1000; smaller runs earlier among yours.")]
-TimeoutOption = Annotated[
-    float | None, typer.Option(help="Stop a job that computes for longer [s].")
-]
-NameOption = Annotated[str, typer.Option(help="A name for your own use.")]
-IdempotencyKeyOption = Annotated[
-    str | None,
-    typer.Option(metavar="KEY", help="Commands with the same key have one effect between them."),
-]
-WatchOption = Annotated[bool, typer.Option("--watch", help="Show progress until the end.")]
-ServerOption = Annotated[
-    str | None,
-    typer.Option(
-        envvar="MORPH_SERVER", help="Address of the service; http://127.0.0.1:8000 if not given."
-    ),
-]
 KeyOption = Annotated[
     str | None, typer.Option(envvar="MORPH_KEY", help="API key; better in MORPH_KEY.")
 ]
 
 
-def connect(server: str | None, key: str | None) -> MorphClient:
-    """A client for the service of `--server` and `--key`; nothing is sent yet.
+@dataclass(frozen=True)
+class ConfigOptions:
+    """The configuration of a morph: a preset, and settings in place of its own."""
 
-    Raises:
-        ServiceError: The address or the key cannot be one.
-    """
-    from chamfer_morph.client import MorphClient
+    preset: Annotated[str, typer.Option(help="See morph presets.")] = "fast"
+    frames: Annotated[int | None, typer.Option(help="Frames to compute.")] = None
+    points_per_cell_edge: Annotated[
+        int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
+    ] = None
+    fit: Annotated[Fit | None, typer.Option(help=FIT_HELP)] = None
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="Any setting; see morph presets fast."),
+    ] = None
 
-    return MorphClient(server, key=key)
+    def overrides(self, **options: object) -> dict[str, Any]:
+        """Settings by dotted path: those of options, and `path=value` as after --set.
+
+        Raises:
+            ConfigError: One has no equals sign.
+        """
+        options["sampling.points_per_cell_edge"] = self.points_per_cell_edge
+        options["sampling.fit"] = self.fit
+        chosen = {path: value for path, value in options.items() if value is not None}
+        for setting in self.settings or ():
+            path, separator, value = setting.partition("=")
+            if not separator:
+                raise ConfigError(
+                    f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
+                )
+            chosen[path] = value
+        return chosen
+
+
+@dataclass(frozen=True)
+class SubmissionOptions:
+    """How the service is to compute a job."""
+
+    device: DeviceOption = "auto"
+    priority: Annotated[int, typer.Option(help="1 to 1000; smaller runs earlier among yours.")] = (
+        100
+    )
+    timeout: Annotated[
+        float | None, typer.Option(help="Stop a job that computes for longer [s].")
+    ] = None
+    name: Annotated[str, typer.Option(help="A name for your own use.")] = ""
+    idempotency_key: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY", help="Commands with the same key have one effect between them."
+        ),
+    ] = None
+
+    def request(self, config: ConfigOptions) -> dict[str, Any]:
+        """What jobs and sweeps are requested with, but for their idempotency key."""
+        return {
+            "preset": config.preset,
+            "frames": config.frames,
+            "overrides": config.overrides(),
+            "device": self.device,
+            "priority": self.priority,
+            "timeout_seconds": self.timeout,
+            "name": self.name,
+        }
+
+
+@dataclass(frozen=True)
+class ServiceOptions:
+    """The service that a command asks, and how its answer is printed."""
+
+    server: Annotated[
+        str | None,
+        typer.Option(
+            envvar="MORPH_SERVER",
+            help="Address of the service; http://127.0.0.1:8000 if not given.",
+        ),
+    ] = None
+    key: KeyOption = None
+    as_json: JsonOption = False
+
+    def connect(self) -> MorphClient:
+        """A client for the service; nothing is sent yet.
+
+        Raises:
+            ServiceError: The address or the key cannot be one.
+        """
+        from chamfer_morph.client import MorphClient
+
+        return MorphClient(self.server, key=self.key)
+
+    def print(self, document: object, text: str | Callable[[], None]) -> None:
+        """Print an answer; see `print_result`."""
+        print_result(document, text, as_json=self.as_json)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.text import Text
 
-from chamfer_morph.cli.tables import clock, losses
+from chamfer_morph.cli.tables import format_duration, losses
 
 if TYPE_CHECKING:
     from morph_engine.morphing import Frame
@@ -108,7 +108,7 @@ class RunDisplay(ProgressDisplay):
         if seconds:
             self._recent.append(seconds)
             left = sum(self._recent) / len(self._recent) * (self._frame_count - done)
-            text += f"  left {clock(left)}"
+            text += f"  left {format_duration(left)}"
         if self._progress.disable:
             self._console.print(f"frame {index}  {done}/{self._frame_count}  {text}")
         else:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.exit_status import JOB_FAILED, print_json
-from chamfer_morph.cli.options import JsonOption, KeyOption, QuietOption, connect
+from chamfer_morph.cli.exit_status import JOB_FAILED
+from chamfer_morph.cli.options import JsonOption, KeyOption, QuietOption, ServiceOptions
+from chamfer_morph.cli.output import print_json
 
 if TYPE_CHECKING:
     from chamfer_morph.reproduction.meshes import MeshFolder
@@ -112,7 +113,7 @@ def _compute(
             return execute(runs, store, meshes, jobs=at_once, on_progress=display.show)
         from chamfer_morph.cli.remote_runs import execute_remotely
 
-        with connect(server, key) as client:
+        with ServiceOptions(server, key).connect() as client:
             return execute_remotely(client, runs, store, meshes, on_progress=display.show)
 
 
@@ -123,7 +124,7 @@ def _report_interrupted(server: str | None) -> None:
 
 def _print_list(*, as_json: bool) -> None:
     """Print what there is to reproduce."""
-    from chamfer_morph.cli.tables import clock, print_table
+    from chamfer_morph.cli.tables import format_duration, print_table
     from chamfer_morph.reproduction.registry import EXPERIMENTS, cpu_seconds_of, runs_of
 
     rows = [
@@ -136,7 +137,7 @@ def _print_list(*, as_json: bool) -> None:
     else:
         print_table(
             ("table", "what it is", "in the paper", "runs", "CPU time"),
-            ((*row[:3], str(row[3]), clock(row[4])) for row in rows),
+            ((*row[:3], str(row[3]), format_duration(row[4])) for row in rows),
         )
         typer.echo("\nTables share runs, so all takes less than their sum.")
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from chamfer_morph.cli.progress_display import ProgressDisplay
-from chamfer_morph.cli.tables import PIPED_WIDTH, clock
+from chamfer_morph.cli.tables import PIPED_WIDTH, format_duration
 from chamfer_morph.reproduction.report.section import DisplayTable, Section
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.runner import Progress as RunProgress
@@ -47,7 +47,7 @@ class ReproductionDisplay(ProgressDisplay):
 
     def show(self, progress: RunProgress) -> None:
         """Show how far the runs have come."""
-        left = clock(self._seconds_left(progress))
+        left = format_duration(self._seconds_left(progress))
         counts = f"{len(progress.finished)}/{len(progress.runs)} runs"
         for run_id, record in progress.finished.items():
             if run_id not in self._printed:
@@ -80,9 +80,10 @@ def print_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | N
     plan = f"{len(missing)} runs to compute, {known} are there already."
     if missing and server is None:
         cores = min(jobs, os.cpu_count() or 1)
-        plan += f" About {clock(cost)} of CPU time, {clock(cost / cores)} with {jobs} at a time."
+        duration = format_duration(cost / cores)
+        plan += f" About {format_duration(cost)} of CPU time, {duration} with {jobs} at a time."
     elif missing:
-        plan += f" About {clock(cost)} of CPU time, by {server}."
+        plan += f" About {format_duration(cost)} of CPU time, by {server}."
     sys.stderr.write(f"{plan}\n")
 
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chamfer_morph.cli.exit_status import print_json
-from chamfer_morph.cli.options import JsonOption, KeyOption, ServerOption, connect
+from chamfer_morph.cli.option_groups import expand_groups
+from chamfer_morph.cli.options import ServiceOptions
+from chamfer_morph.cli.tables import print_table
 
 if TYPE_CHECKING:
     from chamfer_morph.schemas import WorkerStatus
@@ -27,108 +28,69 @@ WorkerArgument = Annotated[
 
 
 @keys.command("list")
-def list_keys(
-    server: ServerOption = None, key: KeyOption = None, as_json: JsonOption = False
-) -> None:
+@expand_groups
+def list_keys(service: ServiceOptions) -> None:
     """List the API keys; nobody can see their secrets."""
-    from chamfer_morph.cli.tables import print_table
-
-    with connect(server, key) as client:
+    with service.connect() as client:
         found = client.keys()
-    if as_json:
-        print_json({"keys": found})
-    else:
-        print_table(
-            ("key", "may", "since"),
-            ((each.name, " ".join(each.scopes), f"{each.created_at:%Y-%m-%d}") for each in found),
-        )
+    rows = ((each.name, " ".join(each.scopes), f"{each.created_at:%Y-%m-%d}") for each in found)
+    service.print({"keys": found}, lambda: print_table(("key", "may", "since"), rows))
 
 
 @keys.command("create")
+@expand_groups
 def create_key(
     name: NameArgument,
+    *,
     scope: Annotated[
         list[str] | None,
         typer.Option(help="read, submit or admin, again and again; read and submit if not given."),
     ] = None,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: JsonOption = False,
+    service: ServiceOptions,
 ) -> None:
     """Make an API key; prints its secret, which is not shown again."""
-    with connect(server, key) as client:
-        made = client.create_key(name, scope or ("read", "submit"))
-    if as_json:
-        print_json(made)
-    else:
-        typer.echo(made.secret)
+    with service.connect() as client:
+        key = client.create_key(name, scope or ("read", "submit"))
+    service.print(key, key.secret)
+    if not service.as_json:
         typer.echo("Keep it: it is not shown again.", err=True)
 
 
 @keys.command("delete")
-def delete_key(
-    name: NameArgument,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@expand_groups
+def delete_key(name: NameArgument, service: ServiceOptions) -> None:
     """Delete an API key; it is refused from now on."""
-    with connect(server, key) as client:
+    with service.connect() as client:
         client.delete_key(name)
-    if as_json:
-        print_json({"name": name, "deleted": True})
-    else:
-        typer.echo(f"{name} deleted")
+    service.print({"name": name, "deleted": True}, f"{name} deleted")
 
 
 @workers.command("list")
-def list_workers(
-    server: ServerOption = None, key: KeyOption = None, as_json: JsonOption = False
-) -> None:
+@expand_groups
+def list_workers(service: ServiceOptions) -> None:
     """List the worker slots and what they compute."""
-    from chamfer_morph.cli.tables import print_table
-
-    with connect(server, key) as client:
+    with service.connect() as client:
         found = client.workers()
-    if as_json:
-        print_json({"workers": found})
-    else:
-        print_table(
-            ("worker", "state", "job"), ((each.id, _state(each), each.job or "") for each in found)
-        )
+    rows = ((each.id, _state(each), each.job or "") for each in found)
+    service.print({"workers": found}, lambda: print_table(("worker", "state", "job"), rows))
 
 
 @workers.command()
-def pause(
-    worker: WorkerArgument,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@expand_groups
+def pause(worker: WorkerArgument, service: ServiceOptions) -> None:
     """Let a worker finish its job and start no other."""
-    with connect(server, key) as client:
+    with service.connect() as client:
         status = client.pause_worker(worker)
-    _print_status(status, as_json=as_json)
+    service.print(status, f"{status.id}  {_state(status)}")
 
 
 @workers.command()
-def unpause(
-    worker: WorkerArgument,
-    server: ServerOption = None,
-    key: KeyOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@expand_groups
+def unpause(worker: WorkerArgument, service: ServiceOptions) -> None:
     """Let a paused worker start jobs again."""
-    with connect(server, key) as client:
+    with service.connect() as client:
         status = client.unpause_worker(worker)
-    _print_status(status, as_json=as_json)
-
-
-def _print_status(status: WorkerStatus, *, as_json: bool) -> None:
-    if as_json:
-        print_json(status)
-    else:
-        typer.echo(f"{status.id}  {_state(status)}")
+    service.print(status, f"{status.id}  {_state(status)}")
 
 
 def _state(status: WorkerStatus) -> str:

@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from chamfer_morph.cli.exit_status import BAD_INPUT, error_document, print_json
+from chamfer_morph.cli.exit_status import BAD_INPUT
 from chamfer_morph.cli.options import FIT_HELP, SHAPE_HELP, Fit, JsonOption
+from chamfer_morph.cli.output import error_document, print_json, print_result
+from chamfer_morph.cli.tables import print_metrics, print_report
 from morph_engine.errors import MorphError
 
 app: typer.Typer = typer.Typer()
@@ -18,10 +20,8 @@ def shapes(as_json: JsonOption = False) -> None:
     """List the built-in shapes; text:HELLO makes extruded letters of any string."""
     from morph_engine.geometry.shapes import names
 
-    if as_json:
-        print_json({"shapes": list(names())})
-    else:
-        typer.echo("\n".join((*names(), "text:ANY STRING")))
+    text = "\n".join((*names(), "text:ANY STRING"))
+    print_result({"shapes": list(names())}, text, as_json=as_json)
 
 
 @app.command()
@@ -31,7 +31,6 @@ def inspect(
     as_json: JsonOption = False,
 ) -> None:
     """Describe a mesh: closed?, volume, particles, expected time and memory; 2 if unusable."""
-    from chamfer_morph.cli.tables import print_report
     from morph_engine.geometry.ingest import check_mesh, inspect_mesh
     from morph_engine.geometry.sampling import fit_to_domain
     from morph_engine.geometry.shapes import resolve_shape
@@ -46,10 +45,7 @@ def inspect(
             raise typer.Exit(BAD_INPUT) from error
         print_report(report)
         raise
-    if as_json:
-        print_json(report.model_dump(mode="json"))
-    else:
-        print_report(report)
+    print_result(report, lambda: print_report(report), as_json=as_json)
 
 
 @app.command()
@@ -72,7 +68,6 @@ def metrics(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how well A fills B: Chamfer, Hausdorff, F1, overlap, coverage, fill."""
-    from chamfer_morph.cli.tables import print_metrics
     from morph_engine.comparison import compare
 
     measurement = compare(
@@ -84,7 +79,4 @@ def metrics(
         tau=tau,
         workers=-1,
     )
-    if as_json:
-        print_json(measurement.document())
-    else:
-        print_metrics(measurement.values)
+    print_result(measurement.document(), lambda: print_metrics(measurement.values), as_json=as_json)

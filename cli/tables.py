@@ -13,8 +13,11 @@ from rich.text import Text
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from pydantic.fields import FieldInfo
 
+    from chamfer_morph.schemas import Job, Outcome, Sweep
     from morph_engine.config import MorphConfig
     from morph_engine.geometry.ingest import IngestReport
 
@@ -32,14 +35,14 @@ def losses(metrics: Mapping[str, float]) -> str:
     return "  ".join(parts)
 
 
-def clock(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A duration as people read it: 0:07, 12:40, 1:02:03."""
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
 
 
-def size(byte_count: float) -> str:
+def format_size(byte_count: float) -> str:
     """A number of bytes as people read it: 20 kB, 512 MB, 1.3 GB."""
     megabytes = byte_count / 1e6
     if megabytes < 1:
@@ -73,8 +76,8 @@ def print_report(report: IngestReport) -> None:
                 (
                     f"{resolution.points_per_cell_edge}",
                     f"{resolution.particle_count}",
-                    clock(resolution.estimate.seconds),
-                    size(resolution.estimate.memory_mb * 1e6),
+                    format_duration(resolution.estimate.seconds),
+                    format_size(resolution.estimate.memory_mb * 1e6),
                 )
                 for resolution in report.resolutions
             ),
@@ -148,8 +151,8 @@ def print_summary(document: Mapping[str, Any]) -> None:
     print_metrics({name: document[name] for name in HEADLINE if name in document})
     sys.stdout.write(
         f"\n{document['frames']} frames of {document['particle_count']} particles in "
-        f"{clock(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
-        f"{size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
+        f"{format_duration(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
+        f"{format_size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
     )
 
 
@@ -176,3 +179,111 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_row(*map(Text, row))  # Text: brackets are brackets, not markup
     width = None if sys.stdout.isatty() else PIPED_WIDTH
     Console(highlight=False, width=width).print(table)
+
+
+def print_jobs(jobs: Iterable[Job]) -> None:
+    """A line a job."""
+    print_table(
+        ("job", "state", "frames", "morph", "method", "submitted", "name"),
+        (
+            (
+                job.id,
+                job.state.value,
+                f"{job.progress.frame}/{job.progress.frames}",
+                f"{job.source_name} to {job.target_name}",
+                job.method,
+                _local_time(job.created_at),
+                job.name,
+            )
+            for job in jobs
+        ),
+    )
+
+
+def print_job(job: Job) -> None:
+    """Everything about a job."""
+    rows = [
+        ("state", _state(job)),
+        ("morph", f"{job.source_name} to {job.target_name}"),
+        ("method, preset, seed", f"{job.method}, {job.preset}, {job.seed}"),
+        ("device, priority", f"{job.device}, {job.priority}"),
+        ("frames", f"{job.progress.frame} of {job.progress.frames}"),
+        ("metrics", losses(job.progress.metrics)),
+        (
+            "time left",
+            "" if job.progress.seconds_left is None else format_duration(job.progress.seconds_left),
+        ),
+        ("submitted", _local_time(job.created_at)),
+        ("started", _local_time(job.started_at)),
+        ("finished", _local_time(job.finished_at)),
+        ("attempt", str(job.progress.attempt or "")),
+        ("name", job.name),
+        ("owner", job.owner),
+        ("sweep", job.sweep or ""),
+    ]
+    if job.outcome:
+        rows += [
+            (
+                "result",
+                f"{format_size(job.outcome.size_bytes)}, {job.outcome.particle_count} particles",
+            ),
+            ("cost", _cost(job.outcome)),
+        ]
+    if job.problem:
+        rows += [("cause", job.problem.cause), ("remedy", job.problem.remedy)]
+    print_table(("job", job.id), [row for row in rows if row[1]])
+
+
+def _cost(outcome: Outcome) -> str:
+    memory = format_size(outcome.peak_memory_mb * 1e6)
+    return f"{outcome.cpu_seconds:.0f} CPU s, {memory}"
+
+
+def print_outcome(job: Job) -> None:
+    """What a finished job has come to: headline metrics and its cost, or why it failed."""
+    if job.outcome is None:
+        sys.stdout.write(f"{job.id} {_state(job)}\n")
+        if job.problem:
+            sys.stdout.write(f"{job.problem.cause}\n{job.problem.remedy}\n")
+        return
+    metrics = job.outcome.metrics
+    print_metrics({name: metrics[name] for name in HEADLINE if name in metrics})
+    sys.stdout.write(
+        f"\n{job.outcome.frames} frames of {job.outcome.particle_count} particles "
+        f"({_cost(job.outcome)}): "
+        f"morph fetch {job.id}\n"
+    )
+
+
+def print_sweep(sweep: Sweep) -> None:
+    """The combined table of a sweep."""
+    print_table(
+        ("job", "source", "target", "method", "seed", "state", "two_sided", "f1", "many_to_one"),
+        (
+            (
+                row.job,
+                row.source,
+                row.target,
+                row.method,
+                str(row.seed),
+                row.state.value,
+                *(_metric(row.metrics, name) for name in ("two_sided", "f1", "many_to_one")),
+            )
+            for row in sweep.rows
+        ),
+    )
+    counts = ", ".join(f"{count} {state.value}" for state, count in sweep.counts.items() if count)
+    sys.stdout.write(f"\nsweep {sweep.id}: {counts}\n")
+
+
+def _local_time(time: datetime | None) -> str:
+    return f"{time.astimezone():%Y-%m-%d %H:%M:%S}" if time else ""
+
+
+def _metric(metrics: dict[str, float], name: str) -> str:
+    return f"{metrics[name]:.4g}" if name in metrics else ""
+
+
+def _state(job: Job) -> str:
+    words = job.state.value.replace("_", " ")
+    return f"{words}, {job.queue_position} before it" if job.queue_position else words

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.exit_status import print_json
+from chamfer_morph.cli.output import print_json
 from chamfer_morph.cli.progress_display import RunDisplay
 from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import Event, Job, JobState, Sweep

@@ -19,8 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from chamfer_morph.cli.job_tables import print_outcome
-from chamfer_morph.cli.tables import clock
+from chamfer_morph.cli.tables import format_duration, print_outcome
 from chamfer_morph.client import MorphClient
 
 
@@ -92,7 +91,7 @@ def main() -> None:
             sys.exit(1)
         client.download(job.id, arguments.out)
         seconds = (job.finished_at - job.started_at).total_seconds()
-        print(f"Computed in {clock(seconds)}; the result is {arguments.out}.")
+        print(f"Computed in {format_duration(seconds)}; the result is {arguments.out}.")
         if arguments.stay:
             with suppress(KeyboardInterrupt):
                 signal.pause()

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from chamfer_morph.cli.exit_status import exit_status, print_json
+from chamfer_morph.cli.exit_status import exit_status
+from chamfer_morph.cli.output import print_json
 from morph_engine.errors import MeshError
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from chamfer_morph.cli.tables import clock, print_settings, size
+from chamfer_morph.cli.tables import format_duration, format_size, print_settings
 from morph_engine.config import field_paths
 from morph_engine.errors import ConfigError
 from morph_engine.presets import configure
@@ -11,14 +11,14 @@ from morph_engine.presets import configure
 @pytest.mark.parametrize(
     ("seconds", "text"), [(0, "0:00"), (7.4, "0:07"), (760, "12:40"), (3723, "1:02:03")]
 )
-def test_clock(seconds, text):
+def test_format_duration(seconds, text):
     """Minutes and seconds, with hours when there are any."""
-    assert clock(seconds) == text
+    assert format_duration(seconds) == text
 
 
-def test_size():
+def test_format_size():
     """Megabytes below one gigabyte, gigabytes from there."""
-    assert (size(512e6), size(1.34e9)) == ("512 MB", "1.3 GB")
+    assert (format_size(512e6), format_size(1.34e9)) == ("512 MB", "1.3 GB")
 
 
 def test_every_setting_is_listed_with_its_meaning(capsys):
