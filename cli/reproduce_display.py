@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from itertools import groupby
 
 from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
@@ -98,25 +99,22 @@ def print_section(section: Section) -> None:
         console.print(Text(sentence))
 
 
-def _table(grid: DisplayTable) -> Table:
+def _table(shown: DisplayTable) -> Table:
     """A line per number: printed, published program, ours, difference."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("row", overflow="fold")
     table.add_column("metric", no_wrap=True)
-    kinds = list(dict.fromkeys(grid.columns))
+    kinds = list(dict.fromkeys(kind for _, kind in shown.columns))
     for kind in kinds:
         table.add_column(kind, justify="right", no_wrap=True)
-    for name, _, entries in grid.rows:
-        place = 0
-        for heading, span in grid.headings:
-            cells = dict.fromkeys(kinds, Text(""))
-            for kind, entry in zip(
-                grid.columns[place : place + span], entries[place : place + span], strict=True
-            ):
-                text = f"{entry.text} *" if entry.is_best else entry.text
-                cells[kind] = Text(text, style="bold" if entry.is_best else "")
-            table.add_row(Text(name if place == 0 else ""), Text(heading), *cells.values())
-            place += span
+    for name, _, cells in shown.rows:
+        lines = groupby(zip(shown.columns, cells, strict=True), key=lambda pair: pair[0][0])
+        for index, (heading, pairs) in enumerate(lines):
+            texts = dict.fromkeys(kinds, Text(""))
+            for (_, kind), cell in pairs:
+                text = f"{cell.text} *" if cell.is_best else cell.text
+                texts[kind] = Text(text, style="bold" if cell.is_best else "")
+            table.add_row(Text("" if index else name), Text(heading), *texts.values())
     return table
 
 

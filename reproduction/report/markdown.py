@@ -6,7 +6,13 @@ from collections.abc import Iterable, Sequence
 
 from chamfer_morph.reproduction.report.figures import ReportFigure
 from chamfer_morph.reproduction.report.html import PAPER, TITLE
-from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Provenance, Section
+from chamfer_morph.reproduction.report.section import (
+    PROVENANCE_COLUMNS,
+    DisplayCell,
+    DisplayTable,
+    Provenance,
+    Section,
+)
 
 INTRODUCTION = (
     f"*{PAPER}*: every table and figure, with what the paper prints, what the published program "
@@ -37,42 +43,40 @@ def _section(section: Section) -> str:
         f"## {section.title}",
         f"{origin}.",
         *section.findings,
-        _grid(section.table) if section.table else "",
-        *map(_picture, section.figures),
+        _display_table(section.table) if section.table else "",
+        *map(_figure, section.figures),
         *section.remarks,
-        _sources(section.provenance) if section.provenance else "",
+        _provenance(section.provenance) if section.provenance else "",
     ]
     return "\n\n".join(filter(None, parts))
 
 
-def _grid(grid: DisplayTable) -> str:
-    over = [name for name, span in grid.headings for _ in range(span)]
+def _display_table(table: DisplayTable) -> str:
+    headings = [heading for heading, _ in table.columns]
     columns = [
-        heading if kind == "ours" and over.count(heading) == 1 else f"{heading}, {kind}"
-        for heading, kind in zip(over, grid.columns, strict=True)
+        heading if kind == "ours" and headings.count(heading) == 1 else f"{heading}, {kind}"
+        for heading, kind in table.columns
     ]
-    rows = ((name, *map(_entry, entries)) for name, _, entries in grid.rows)
-    remarks = [f"- {name}: {remark}" for name, remark, _ in grid.rows if remark]
+    rows = ((name, *map(_cell, cells)) for name, _, cells in table.rows)
+    remarks = [f"- {name}: {remark}" for name, remark, _ in table.rows if remark]
     return "\n\n".join(filter(None, (_table(("", *columns), rows), "\n".join(remarks))))
 
 
-def _entry(entry: DisplayCell) -> str:
-    return f"**{entry.text}**" if entry.is_best else entry.text
+def _cell(cell: DisplayCell) -> str:
+    return f"**{cell.text}**" if cell.is_best else cell.text
 
 
-def _picture(picture: ReportFigure) -> str:
-    if not picture.png:
-        return picture.problem
-    return f"![{picture.caption}](figures/{picture.name}.png)"
+def _figure(figure: ReportFigure) -> str:
+    if not figure.png:
+        return figure.problem
+    return f"![{figure.caption}](figures/{figure.name}.png)"
 
 
-def _sources(sources: Sequence[Provenance]) -> str:
-    columns = ("run", "configuration and meshes", "preset", "particles, frames", "CPU", "version")
-    rows = ((s.run, s.digest, s.config, s.size, s.cost, s.version) for s in sources)
+def _provenance(provenance: Sequence[Provenance]) -> str:
     return "\n\n".join(
         (
             "<details><summary>Where the numbers come from</summary>",
-            _table(columns, rows),
+            _table(PROVENANCE_COLUMNS, provenance),
             "</details>",
         )
     )

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 
 from chamfer_morph.reproduction.planar import PlanarRow, PlanarRun, figure, rows, run_all
 from chamfer_morph.reproduction.report.figures import ReportFigure, save
-from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Provenance, Section
-from chamfer_morph.reproduction.report.tables import (
-    VERSION,
-    format_difference,
-    format_exact,
-    format_number,
-)
+from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
+from chamfer_morph.reproduction.report.tables import VERSION, Cell, csv_text, format_exact
 
 COLUMNS = ("cd", "coverage", "cluster_02", "cluster_005", "targets_used", "crowded", "unevenness")
-PRINTED = ("cd", "coverage", "cluster_02")
 NAMES = {
     "cd": "two-sided",
     "coverage": "coverage",
@@ -66,7 +58,13 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
             "The paper's cluster fraction is 100% for a perfect result too: 600 points spread "
             "evenly over the star lie 0.0135 apart, closer than its 0.02.",
         ),
-        table=_grid(table),
+        table=display_table(
+            [
+                (_label(row), f"{row.steps} steps" if row.steps else "", _cells(row))
+                for row in table
+            ],
+            NAMES,
+        ),
         csv=_csv(table, runs),
         figures=(
             ReportFigure(
@@ -118,57 +116,26 @@ def _label(row: PlanarRow) -> str:
     return label if row.setting == "reference" else f"{label}, {row.setting}"
 
 
-def _grid(table: Sequence[PlanarRow]) -> DisplayTable:
-    kinds = {
-        column: ("printed", "ours", "difference") if column in PRINTED else ("ours",)
+def _cells(row: PlanarRow) -> dict[str, Cell]:
+    return {
+        column: Cell(getattr(row.printed, column, None), None, getattr(row, column))
         for column in COLUMNS
     }
-    return DisplayTable(
-        headings=tuple((NAMES[column], len(kinds[column])) for column in COLUMNS),
-        columns=tuple(kind for column in COLUMNS for kind in kinds[column]),
-        rows=tuple(
-            (
-                _label(row),
-                f"{row.steps} steps" if row.steps else "",
-                tuple(_entry(row, column, kind) for column in COLUMNS for kind in kinds[column]),
-            )
-            for row in table
-        ),
-    )
-
-
-def _entry(row: PlanarRow, column: str, kind: str) -> DisplayCell:
-    ours = getattr(row, column)
-    printed = getattr(row.printed, column, None)
-    if kind == "printed":
-        return DisplayCell(format_number(printed))
-    if kind == "difference":
-        return DisplayCell(format_difference(None if printed is None else ours - printed))
-    return DisplayCell(format_number(ours))
 
 
 def _csv(table: Sequence[PlanarRow], runs: Sequence[PlanarRun]) -> str:
     configs = {(r.experiment.name, r.experiment.setting): r.experiment.config for r in runs}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("row", "metric", "printed", "ours", "steps", "config", "version"))
     version = metadata.version(VERSION)
-    for row in table:
-        config = configs.get((row.name, row.setting))
-        settings = config.model_dump_json(exclude_defaults=True) if config else ""
-        for column in COLUMNS:
-            writer.writerow(
-                (
-                    _label(row),
-                    column,
-                    format_exact(getattr(row.printed, column, None)),
-                    format_exact(getattr(row, column)),
-                    row.steps,
-                    settings,
-                    version,
-                )
-            )
-    return text.getvalue()
+
+    def lines() -> Iterator[tuple[object, ...]]:
+        for row in table:
+            config = configs.get((row.name, row.setting))
+            settings = config.model_dump_json(exclude_defaults=True) if config else ""
+            for column, cell in _cells(row).items():
+                numbers = format_exact(cell.printed), format_exact(cell.ours)
+                yield (_label(row), column, *numbers, row.steps, settings, version)
+
+    return csv_text(("row", "metric", "printed", "ours", "steps", "config", "version"), lines())
 
 
 def _source(run: PlanarRun) -> Provenance:

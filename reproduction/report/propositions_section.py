@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -11,7 +9,7 @@ from pathlib import Path
 from chamfer_morph.reproduction.propositions import Check, Quantity, all_checks, figure
 from chamfer_morph.reproduction.report.figures import ReportFigure, save
 from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Section
-from chamfer_morph.reproduction.report.tables import VERSION
+from chamfer_morph.reproduction.report.tables import VERSION, csv_text, format_exact
 
 HOLDS, FAILS = "holds", "fails"
 LIMIT, NO_LIMIT = "does not apply", "applies nevertheless"
@@ -40,8 +38,7 @@ def propositions_section(name: str, title: str, origin: str, figures: Path) -> S
             "against what it would say, were it applied.",
         ),
         table=DisplayTable(
-            headings=(("", 3),),
-            columns=("measured", "should be", "verdict"),
+            columns=(("", "measured"), ("", "should be"), ("", "verdict")),
             rows=tuple(_rows(checks)),
         ),
         csv=_csv(checks),
@@ -93,31 +90,29 @@ def _entries(quantity: Quantity, word: str) -> tuple[DisplayCell, ...]:
 
 
 def _csv(checks: Sequence[Check]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ("proposition", "covered", "quantity", "measured", "relation", "expected", "tolerance",
-         "holds", "version")
-    )  # fmt: skip
     version = metadata.version(VERSION)
-    for check in checks:
-        covered = [(True, quantity.name, quantity) for quantity in check.quantities]
-        beyond = [
-            (False, f"{limit.case} {limit.prediction.name}", limit.prediction)
-            for limit in check.limits
-        ]
-        for is_covered, name, quantity in (*covered, *beyond):
-            writer.writerow(
-                (
-                    check.name,
-                    "yes" if is_covered else "no",
-                    name,
-                    f"{quantity.measured:.7g}",
-                    quantity.relation,
-                    f"{quantity.expected:.7g}",
-                    f"{quantity.tolerance:.7g}",
-                    "yes" if quantity.holds else "no",
-                    version,
-                )
+    columns = (
+        "proposition", "covered", "quantity", "measured", "relation", "expected", "tolerance",
+        "holds", "version",
+    )  # fmt: skip
+    return csv_text(
+        columns,
+        (
+            (
+                check.name,
+                covered,
+                name,
+                format_exact(quantity.measured),
+                quantity.relation,
+                format_exact(quantity.expected),
+                format_exact(quantity.tolerance),
+                "yes" if quantity.holds else "no",
+                version,
             )
-    return text.getvalue()
+            for check in checks
+            for covered, name, quantity in (
+                *(("yes", each.name, each) for each in check.quantities),
+                *(("no", f"{it.case} {it.prediction.name}", it.prediction) for it in check.limits),
+            )
+        ),
+    )

@@ -1,50 +1,28 @@
-"""A section of the report: words, one grid of numbers, figures, and where the numbers come from."""
+"""A section of the report: words, a table of numbers, figures, and where the numbers come from."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from chamfer_morph.reproduction.report.figures import ReportFigure, draw_all
 from chamfer_morph.reproduction.report.findings import findings
 from chamfer_morph.reproduction.report.tables import (
+    METRIC_NAMES,
     VERSION,
+    Cell,
     Table,
-    TableRow,
     format_difference,
     format_number,
 )
 from chamfer_morph.reproduction.runs.store import Record, Store
 
-METRIC_NAMES = {
-    "s2t": "s→t",
-    "t2s": "t→s",
-    "two_sided": "two-sided",
-    "two_sided_over_h": "two-sided / h",
-    "hausdorff": "Hausdorff",
-    "f1": "F1",
-    "iou": "IoU",
-    "overlap_01": "overlap < .01",
-    "overlap_h10": "overlap < h/10",
-    "many_to_one": "many-to-one",
-    "targets_used": "targets used",
-    "rho_p05": "density 5%",
-    "rho_p50": "density 50%",
-    "rho_p95": "density 95%",
-    "rho_p99": "density 99%",
-    "surface_mean": "surface",
-    "outside_max": "farthest outside",
-    "least_gap_ever": "least gap / h",
-    "det_f_min_ever": "least det F",
-    "det_f_max_ever": "greatest det F",
-    "max_move_ever": "farthest move",
-}
-
 
 @dataclass(frozen=True)
 class DisplayCell:
-    """What stands in one place of a grid."""
+    """What stands in one place of a table."""
 
     text: str
     is_best: bool = False
@@ -52,31 +30,19 @@ class DisplayCell:
 
 @dataclass(frozen=True)
 class DisplayTable:
-    """A table as it is shown: columns under headings, rows that begin with their name.
+    """A table as it is shown: rows that begin with their name, columns in groups under a heading.
 
     Attributes:
-        headings: Heading and number of columns below it; the row names have none.
-        columns: Names of the columns, headings apart.
-        rows: Name, remark and entries of each row.
+        columns: Heading and name of each column; neighbours may share a heading.
+        rows: Name, remark and cells of each row.
     """
 
-    headings: tuple[tuple[str, int], ...]
-    columns: tuple[str, ...]
+    columns: tuple[tuple[str, str], ...]
     rows: tuple[tuple[str, str, tuple[DisplayCell, ...]], ...]
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """Where a number comes from.
-
-    Attributes:
-        run: Id of the run.
-        digest: Of its configuration and meshes.
-        config: Its preset and seed, in words.
-        size: Particles and target points, frames.
-        cost: CPU seconds.
-        version: Of this software.
-    """
+class Provenance(NamedTuple):
+    """Where a number comes from, a text for each of `PROVENANCE_COLUMNS`."""
 
     run: str
     digest: str
@@ -84,6 +50,11 @@ class Provenance:
     size: str
     cost: str
     version: str
+
+
+PROVENANCE_COLUMNS = (
+    "run", "configuration and meshes", "preset", "particles, frames", "CPU", "version",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,43 +97,49 @@ def section_of(table: Table, store: Store, figures: Path) -> Section:
         origin=experiment.origin,
         findings=tuple(findings(table)),
         remarks=experiment.remarks,
-        table=display_table(table) if experiment.has_table else None,
+        table=display_table(table.display_rows) if experiment.has_table else None,
         csv=table.csv(),
         figures=draw_all(table, store, figures),
         provenance=_sources(record for line in table.lines for record in line.records),
     )
 
 
-def display_table(table: Table) -> DisplayTable:
-    """Printed, published program, ours, difference; columns without any number are left out."""
-    headings, columns = [], []
-    wanted: list[tuple[str, tuple[str, ...]]] = []
-    for metric in table.experiment.metrics:
-        cells = [line.cells[metric] for line in table.lines]
-        kinds: list[str] = []
-        if any(cell.printed is not None for cell in cells):
-            kinds.append("printed")
-        if any(cell.program is not None for cell in cells):
-            kinds.append("program")
-        kinds.append("ours")
-        if "printed" in kinds:
-            kinds.append("difference")
-        wanted.append((metric, tuple(kinds)))
-        headings.append((METRIC_NAMES.get(metric, metric), len(kinds)))
-        columns += kinds
-    rows = tuple(
-        (
-            line.row.label,
-            line.problem or line.row.remark,
-            tuple(_entry(line, metric, kind) for metric, kinds in wanted for kind in kinds),
-        )
-        for line in table.lines
+def display_table(
+    rows: Sequence[tuple[str, str, Mapping[str, Cell]]], names: Mapping[str, str] = METRIC_NAMES
+) -> DisplayTable:
+    """Printed, published program, ours, difference; columns without any number are left out.
+
+    Args:
+        rows: Name, remark and numbers by metric of each row, all of the same metrics.
+        names: Of metrics, for the headings.
+    """
+    columns = [
+        (metric, kind)
+        for metric in rows[0][2]
+        for kind in _kinds([cells[metric] for _, _, cells in rows])
+    ]
+    return DisplayTable(
+        tuple((names.get(metric, metric), kind) for metric, kind in columns),
+        tuple(
+            (name, remark, tuple(_display_cell(cells[metric], kind) for metric, kind in columns))
+            for name, remark, cells in rows
+        ),
     )
-    return DisplayTable(tuple(headings), tuple(columns), rows)
 
 
-def _entry(line: TableRow, metric: str, kind: str) -> DisplayCell:
-    cell = line.cells[metric]
+def _kinds(cells: Sequence[Cell]) -> Iterator[str]:
+    """The columns that a metric has."""
+    is_printed = any(cell.printed is not None for cell in cells)
+    if is_printed:
+        yield "printed"
+    if any(cell.program is not None for cell in cells):
+        yield "program"
+    yield "ours"
+    if is_printed:
+        yield "difference"
+
+
+def _display_cell(cell: Cell, kind: str) -> DisplayCell:
     match kind:
         case "printed":
             return DisplayCell(format_number(cell.printed))
@@ -171,8 +148,7 @@ def _entry(line: TableRow, metric: str, kind: str) -> DisplayCell:
         case "difference":
             return DisplayCell(format_difference(cell.minus_printed))
         case _:
-            failed = cell.ours is None and any(not each.is_complete for each in line.records)
-            text = "failed" if failed else format_number(cell.ours)
+            text = "failed" if cell.is_failed else format_number(cell.ours)
             if cell.deviation is not None:
                 text += f" ± {cell.deviation:.3f}"
             return DisplayCell(text, cell.is_best)

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import statistics
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +19,30 @@ COLUMNS = (
     "row", "metric", "printed", "published_program", "ours", "standard_deviation", "repeats",
     "minus_printed", "minus_program", "best", "run_ids", "config_digests", "version", "problem",
 )  # fmt: skip
+
+METRIC_NAMES = {
+    "s2t": "s→t",
+    "t2s": "t→s",
+    "two_sided": "two-sided",
+    "two_sided_over_h": "two-sided / h",
+    "hausdorff": "Hausdorff",
+    "f1": "F1",
+    "iou": "IoU",
+    "overlap_01": "overlap < .01",
+    "overlap_h10": "overlap < h/10",
+    "many_to_one": "many-to-one",
+    "targets_used": "targets used",
+    "rho_p05": "density 5%",
+    "rho_p50": "density 50%",
+    "rho_p95": "density 95%",
+    "rho_p99": "density 99%",
+    "surface_mean": "surface",
+    "outside_max": "farthest outside",
+    "least_gap_ever": "least gap / h",
+    "det_f_min_ever": "least det F",
+    "det_f_max_ever": "greatest det F",
+    "max_move_ever": "farthest move",
+}
 
 VERSION = "chamfer-morph"
 """The software whose version a number depends on first."""
@@ -34,6 +58,7 @@ class Cell:
         ours: Mean over our runs; None if one of them is missing.
         deviation: Standard deviation over repeats; None without.
         is_best: Whether ours is the best of its group.
+        is_failed: Whether ours is missing because a run failed.
     """
 
     printed: float | None
@@ -41,6 +66,7 @@ class Cell:
     ours: float | None
     deviation: float | None = None
     is_best: bool = False
+    is_failed: bool = False
 
     @property
     def minus_printed(self) -> float | None:
@@ -98,13 +124,30 @@ class Table:
 
     def csv(self) -> str:
         """A line a number, with where it comes from."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for line in self.lines:
-            for metric, cell in line.cells.items():
-                writer.writerow(_csv_row(line, metric, cell))
-        return text.getvalue()
+        return csv_text(
+            COLUMNS,
+            (
+                _csv_row(line, metric, cell)
+                for line in self.lines
+                for metric, cell in line.cells.items()
+            ),
+        )
+
+    @property
+    def display_rows(self) -> list[tuple[str, str, Mapping[str, Cell]]]:
+        """Name, remark and numbers by metric of each row."""
+        return [
+            (line.row.label, line.problem or line.row.remark, line.cells) for line in self.lines
+        ]
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Rows under the names of their columns, as a CSV file has them."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
@@ -135,6 +178,7 @@ def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> Ta
             program=in_program.get(metric),
             ours=statistics.fmean(values) if is_whole else None,
             deviation=statistics.stdev(values) if is_whole and len(values) > 1 else None,
+            is_failed=not is_whole and len(complete) < len(found),
         )
     return TableRow(row, cells, found)
 

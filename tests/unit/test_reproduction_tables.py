@@ -97,8 +97,8 @@ def test_a_failed_run_is_shown_with_its_cause_and_the_rest_stands(experiment):
     failed = row.runs[0]
     records[failed.id] = Record(run=failed, digest="", status="failed", problem="It burst.")
     table = tabulate(experiment, records)
-    _, remark, entries = display_table(table).rows[-1]
-    assert remark == "It burst." and "failed" in {entry.text for entry in entries}
+    _, remark, cells = display_table(table.display_rows).rows[-1]
+    assert remark == "It burst." and "failed" in {cell.text for cell in cells}
     assert row.label in findings(table)[-1]
     findings(tabulate(experiment, {}))
 
@@ -143,7 +143,8 @@ def test_the_report_in_markdown_has_every_number_and_its_figures_beside_it(tmp_p
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     table = [line for line in text.splitlines() if line.startswith("| ")]
     assert len({line.count("|") for line in table[: 2 + len(SPHERE.rows)]}) == 1
-    for name, _, entries in display_table(tabulate(SPHERE, as_printed(SPHERE))).rows:
+    shown = display_table(tabulate(SPHERE, as_printed(SPHERE)).display_rows)
+    for name, _, entries in shown.rows:
         row = next(line for line in table if line.startswith(f"| {name} |"))
         cells = [cell.strip(" *") for cell in row.strip("|").split("|")]
         assert cells == [name, *(entry.text for entry in entries)]
