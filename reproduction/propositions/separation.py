@@ -71,7 +71,7 @@ def proposition_2() -> Check:
                 ),
             ),
             Limit(
-                "Optimizer then takes them apart, so that collapse is no deadlock for points that "
+                "Descent then takes them apart, so that collapse is no deadlock for points that "
                 "come near a target without reaching it, as descent lets them.",
                 Quantity(
                     f"targets used after {STEPS} steps of both terms, from 1e-9 apart",

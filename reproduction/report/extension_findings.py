@@ -33,9 +33,8 @@ NAMES = {
 
 def transport(table: Table) -> list[str]:
     """Transport against joint, pair by pair, and against the bounds of a full, even morph."""
-    pairs = list(dict.fromkeys(line.row.group for line in table.lines))
     sentences = []
-    distances = _beside_joint(table, pairs, "two_sided")
+    distances = _beside_joint(table, "two_sided")
     if distances:
         ratios = {pair: ours / joint for pair, (ours, joint) in distances.items()}
         worst = max(ratios, key=lambda pair: ratios[pair])
@@ -44,7 +43,7 @@ def transport(table: Table) -> list[str]:
             f"at most {ratios[worst]:.2f} ({worst}), over {len(ratios)} pairs."
         )
     for metric, words in (("f1", "F1"), ("iou", "Volume overlap")):
-        numbers = _beside_joint(table, pairs, metric)
+        numbers = _beside_joint(table, metric)
         if numbers:
             gains = {pair: ours - joint for pair, (ours, joint) in numbers.items()}
             worst = min(gains, key=lambda pair: gains[pair])
@@ -68,16 +67,9 @@ def _cost(table: Table) -> list[str]:
     return [f"CPU time of a run, median: {'; '.join(parts)}."] if parts else []
 
 
-def _beside_joint(
-    table: Table, pairs: Sequence[str], metric: str
-) -> dict[str, tuple[float, float]]:
+def _beside_joint(table: Table, metric: str) -> dict[str, tuple[float, float]]:
     """A metric of transport and of joint, by pair, where both are known."""
-    found = {}
-    for pair in pairs:
-        ours, joint = (table.ours(f"{pair}, {name}", metric) for name in ("transport", "joint"))
-        if ours is not None and joint is not None:
-            found[pair] = ours, joint
-    return found
+    return table.pairs(table.groups, "{}, transport", "{}, joint", metric)
 
 
 def bounds(table: Table) -> list[str]:
@@ -95,25 +87,21 @@ def motion(table: Table) -> list[str]:
         ("det_f_max_ever", "and below {:.2f}", max),
         ("max_move_ever", "the farthest move in a frame is {:.2f} dx", max),
     ):
-        values = [
-            value
-            for line in table.lines
-            if (value := table.ours(line.row.label, metric)) is not None
-        ]
+        values = table.numbers(metric)
         if values:
-            extremes.append(words.format(worst(values)))
+            extremes.append(words.format(worst(values.values())))
     return [f"Over all pairs and frames {', '.join(extremes)}."] if extremes else []
 
 
 def ingredients(table: Table) -> list[str]:
     """What leaving out a part changes, as the median over pairs."""
     changes: dict[str, list[float]] = {}
-    for line in table.lines:
-        pair, _, label = line.row.label.partition(": ")
-        whole = table.ours(f"{pair}: all of it", "two_sided")
-        ours = table.ours(line.row.label, "two_sided")
-        if whole and ours is not None and label != "all of it":
-            changes.setdefault(label, []).append(ours / whole)
+    distances = table.numbers("two_sided")
+    for row, distance in distances.items():
+        pair, _, label = row.partition(": ")
+        whole = distances.get(f"{pair}: all of it")
+        if whole and label != "all of it":
+            changes.setdefault(label, []).append(distance / whole)
     if not changes:
         return []
     parts = [f"{label} {median(values):.2f}" for label, values in changes.items()]
@@ -122,11 +110,7 @@ def ingredients(table: Table) -> list[str]:
 
 def objectives(table: Table) -> list[str]:
     """Who collapses."""
-    shares = [
-        f"{line.row.label} {value:.1%}"
-        for line in table.lines
-        if (value := table.ours(line.row.label, "overlap_h10")) is not None
-    ]
+    shares = [f"{label} {share:.1%}" for label, share in table.numbers("overlap_h10").items()]
     return [f"Particles closer than .1 h to another: {'; '.join(shares)}."] if shares else []
 
 
@@ -134,9 +118,7 @@ def _extremes(table: Table, labels: Sequence[str]) -> list[str]:
     """The worst row of each bounded metric, and the median."""
     parts = []
     for metric, *_ in BOUNDS:
-        values = {
-            label: value for label in labels if (value := table.ours(label, metric)) is not None
-        }
+        values = table.numbers(metric, labels)
         if values:
             worst = max(values, key=lambda label: distance_from_ideal(metric, values[label]))
             parts.append(
@@ -152,11 +134,11 @@ def _within(table: Table, labels: Sequence[str]) -> list[str]:
     for metric, words, is_beyond in BOUNDS:
         rows = [
             f"{label} ({value:.3f})"
-            for label in labels
-            if (value := table.ours(label, metric)) is not None and is_beyond(value)
+            for label, value in table.numbers(metric, labels).items()
+            if is_beyond(value)
         ]
         if rows:
             beyond.append(f"{words}: {', '.join(rows)}")
-    if not labels or all(table.ours(label, "iou") is None for label in labels):
+    if not table.numbers("iou", labels):
         return []
     return ["There is " + "; ".join(beyond) + "."] if beyond else ["No row is beyond any bound."]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from statistics import fmean
 
 from chamfer_morph.reproduction.published.numbers import CLAIMS, TARGETS
 from chamfer_morph.reproduction.report import extension_findings
@@ -41,11 +42,9 @@ def compare(
         metric: By which number.
     """
     score = WinCount()
-    for name in names:
-        a, b = (table.ours(label.format(name), metric) for label in (first, second))
-        if a is not None and b is not None:
-            wins = distance_from_ideal(metric, a) < distance_from_ideal(metric, b)
-            (score.better if wins else score.worse).append(name)
+    for name, (a, b) in table.pairs(names, first, second, metric).items():
+        wins = distance_from_ideal(metric, a) < distance_from_ideal(metric, b)
+        (score.better if wins else score.worse).append(name)
     return score
 
 
@@ -73,9 +72,7 @@ def _regularisers(table: Table) -> list[str]:
             f"1200 steps, at {plain:.3f} (the paper: 0.217 and 0.286)."
         )
     overlaps = [
-        cell.ours
-        for line in table.lines
-        if line.row.label.startswith("DC") and (cell := line.cells["overlap_01"]).ours is not None
+        share for label, share in table.numbers("overlap_01").items() if label.startswith("DC")
     ]
     if overlaps:
         sentences.append(
@@ -113,9 +110,9 @@ def _sphere(table: Table) -> list[str]:
         )
         + " targets (the paper: 4, 4, 3, 4, 4 of 4)."
     ]
-    changes = _changes(table, TARGETS, "{}, joint", "{}, physics", "s2t")
-    if changes:
-        mean = sum(changes) / len(changes)
+    pairs = table.pairs(TARGETS, "{}, joint", "{}, physics", "s2t")
+    if pairs:
+        mean = fmean(joint / physics - 1 for joint, physics in pairs.values())
         sentences.append(
             f"s→t changes by {mean:+.1%} on average "
             f"(the paper: {CLAIMS['sphere_mean_s2t_change']:+.1%})."
@@ -124,7 +121,7 @@ def _sphere(table: Table) -> list[str]:
 
 
 def _pairs(table: Table) -> list[str]:
-    pairs = _pair_names(table)
+    pairs = table.groups
     two_sided = compare(table, pairs, "{}, joint", "{}, physics")
     s2t = compare(table, pairs, "{}, joint", "{}, physics", "s2t")
     dco = compare(table, pairs, "{}, physics", "{}, dco")
@@ -146,7 +143,7 @@ def _pairs(table: Table) -> list[str]:
 
 
 def _scatter(table: Table) -> list[str]:
-    score = compare(table, _pair_names(table), "{}, joint", "{}, physics")
+    score = compare(table, table.groups, "{}, joint", "{}, physics")
     return [f"{score} pairs lie below the diagonal (the paper: {CLAIMS['pairs_two_sided']})."]
 
 
@@ -232,14 +229,13 @@ def _ablation(table: Table) -> list[str]:
 
 
 def _overlap(table: Table) -> list[str]:
-    values = {
-        label: table.ours(label, "overlap_01")
-        for label in ("DCD, 3 per edge", "DCD, 4 per edge", "Joint, 3 per edge")
-    }
-    known = [f"{value:.1%} in {label}" for label, value in values.items() if value is not None]
-    if not known:
+    labels = ("DCD, 3 per edge", "DCD, 4 per edge", "Joint, 3 per edge")
+    shares = [f"{x:.1%} in {label}" for label, x in table.numbers("overlap_01", labels).items()]
+    if not shares:
         return []
-    return [f"Particles closer than 0.01 to another: {'; '.join(known)} (the paper: 16.5% and 0%)."]
+    return [
+        f"Particles closer than 0.01 to another: {'; '.join(shares)} (the paper: 16.5% and 0%)."
+    ]
 
 
 def _convergence(table: Table) -> list[str]:
@@ -252,19 +248,14 @@ def _convergence(table: Table) -> list[str]:
 
 
 def _teaser(table: Table) -> list[str]:
-    ends = [
-        f"{line.row.label} {line.cells['two_sided'].ours:.3f}"
-        for line in table.lines
-        if line.cells["two_sided"].ours is not None
-    ]
+    ends = [f"{label} {distance:.3f}" for label, distance in table.numbers("two_sided").items()]
     return [f"Two-sided distance at the end: {', '.join(ends)}."] if ends else []
 
 
 def _fairness(table: Table) -> list[str]:
     sentences = []
     dco, converged, physics, joint = (
-        table.cell(label, "two_sided").ours
-        for label in ("DCO", "DCO, converged", "Physics", "Joint")
+        table.ours(label, "two_sided") for label in ("DCO", "DCO, converged", "Physics", "Joint")
     )
     if dco is not None and converged is not None and physics is not None and joint is not None:
         sentences.append(
@@ -272,11 +263,8 @@ def _fairness(table: Table) -> list[str]:
             f"{physics:.3f}, joint at {joint:.3f}: by Chamfer distance alone DCO is "
             f"{'not ' if converged > min(physics, joint) else ''}the best of them."
         )
-    overlaps = [
-        f"{label} {value:.1%}"
-        for label in ("DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint")
-        if (value := table.ours(label, "overlap_01")) is not None
-    ]
+    labels = ("DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint")
+    overlaps = [f"{label} {x:.1%}" for label, x in table.numbers("overlap_01", labels).items()]
     if overlaps:
         sentences.append(f"Particles that coincide with another: {', '.join(overlaps)}.")
     return sentences
@@ -287,22 +275,6 @@ def _trial(table: Table) -> list[str]:
     if not (score.better or score.worse):
         return []
     return [f"Joint ends {'below' if score.better else 'above'} DCO."]
-
-
-def _pair_names(table: Table) -> list[str]:
-    return list(dict.fromkeys(line.row.group for line in table.lines))
-
-
-def _changes(
-    table: Table, names: Iterable[str], first: str, second: str, metric: str
-) -> list[float]:
-    """Relative changes from the second row to the first."""
-    changes = []
-    for name in names:
-        a, b = (table.ours(label.format(name), metric) for label in (first, second))
-        if a is not None and b:
-            changes.append(a / b - 1)
-    return changes
 
 
 FINDINGS: dict[str, Finding] = {

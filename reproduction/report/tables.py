@@ -117,6 +117,37 @@ class Table:
         """Our number by row and metric; None if there is none."""
         return self.cell(label, metric).ours
 
+    def numbers(self, metric: str, labels: Iterable[str] | None = None) -> dict[str, float]:
+        """Our numbers by row, of all rows or of some; rows without one are left out."""
+        found = {
+            label: self.ours(label, metric)
+            for label in (self._by_label if labels is None else labels)
+        }
+        return {label: value for label, value in found.items() if value is not None}
+
+    def pairs(
+        self, names: Iterable[str], first: str, second: str, metric: str
+    ) -> dict[str, tuple[float, float]]:
+        """Our numbers of two rows for each name, where there are both.
+
+        Args:
+            names: What is compared.
+            first: Label of the first row, with {} for the name.
+            second: And of the second.
+            metric: Which number.
+        """
+        found = {}
+        for name in names:
+            a, b = (self.ours(label.format(name), metric) for label in (first, second))
+            if a is not None and b is not None:
+                found[name] = a, b
+        return found
+
+    @property
+    def groups(self) -> list[str]:
+        """Groups of rows that compete, in order."""
+        return list(dict.fromkeys(line.row.group for line in self.lines))
+
     @property
     def is_complete(self) -> bool:
         """Whether every run has come to its end."""
