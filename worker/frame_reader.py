@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.sampling import fit_to_domain
-from morph_engine.results import spool
 from morph_engine.results.run_record import RunRecord
-from morph_engine.results.spool import finished_frames, read_positions, read_run
+from morph_engine.results.spool import SpoolReader, finished_frames
 from morph_engine.results.trajectory import Trajectory
 
 Role = Literal["source", "target"]
+Read = TypeVar("Read")
+
+ATTEMPTS = 3
+"""A job may finish, or go on, while it is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,24 +43,38 @@ def read_frame(result: Path, index: int) -> Frame | None:
     Args:
         result: The result file, whether it is there or not.
         index: Index of the frame; negative counts from the end.
+
+    Raises:
+        ResultError: It is damaged.
     """
-    for _ in range(3):  # a job may finish, or go on, between two looks
-        frame = (_from_run if has_unsaved_frames(result) else _from_result)(result, index)
-        if frame is not None:
-            return frame
-    return None
+
+    def read(run: SpoolReader | Trajectory) -> Frame | None:
+        count = run.frame_count
+        if not -count <= index < count:
+            return None
+        return Frame(index % count, run.positions(index % count))
+
+    return _read(result, read)
 
 
 def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
     """det F of each particle of a frame that is there [ratio], shape [n], float32.
 
     None where the method has none.
+
+    Raises:
+        ResultError: It is damaged.
     """
-    if has_unsaved_frames(result):
-        with suppress(ResultError):  # the job finishes just now
-            return spool.read_det_f(result, index)
-    with Trajectory(result) as trajectory:
-        return trajectory.det_f(index)
+    return _read(result, lambda run: run.det_f(index))
+
+
+def read_run_record(result: Path) -> RunRecord | None:
+    """What a job is made of, or None where it has not begun.
+
+    Raises:
+        ResultError: It is damaged.
+    """
+    return _read(result, lambda run: run.run)
 
 
 def count_frames(result: Path) -> int:
@@ -74,19 +91,6 @@ def has_unsaved_frames(result: Path) -> bool:
     return in_run > 0 and in_run > _count_of_result(result)
 
 
-def read_record(result: Path) -> RunRecord | None:
-    """What a job is made of, or None where it has not begun."""
-    for _ in range(2):  # it may finish between the two
-        if result.is_file():
-            with Trajectory(result) as trajectory:
-                return trajectory.run
-        try:
-            return read_run(result)
-        except ResultError:
-            continue
-    return None
-
-
 def mesh_in_grid_units(record: RunRecord, role: Role) -> Mesh | None:
     """The mesh of a shape as the job has placed it in the domain; None where it is a cloud."""
     shape = getattr(record, role)
@@ -95,31 +99,24 @@ def mesh_in_grid_units(record: RunRecord, role: Role) -> Mesh | None:
     return fit_to_domain(shape, mode=record.config["sampling"]["fit"])[0]
 
 
-def _from_result(result: Path, index: int) -> Frame | None:
-    if not result.is_file():
-        return None
-    try:
-        with Trajectory(result) as trajectory:
-            count = trajectory.frame_count
-            if not -count <= index < count:
+def _read(result: Path, read: Callable[[SpoolReader | Trajectory], Read | None]) -> Read | None:
+    """What is read of a job; None where it has not begun.
+
+    That is from the run directory, unless the result file has more frames.
+    """
+    for attempt in range(ATTEMPTS):
+        spool = SpoolReader(result)
+        try:
+            if spool.exists and spool.frame_count >= _count_of_result(result):
+                return read(spool)
+            if not result.is_file():
                 return None
-            return Frame(index % count, trajectory.positions(index))
-    except ResultError:
-        if not result.is_file():  # it went away under our hands
-            return None
-        raise
-
-
-def _from_run(result: Path, index: int) -> Frame | None:
-    count = finished_frames(result)
-    if not -count <= index < count:
-        return None
-    try:
-        return Frame(index % count, read_positions(result, index % count))
-    except ResultError:
-        if finished_frames(result) < count:
-            return None
-        raise
+            with Trajectory(result) as trajectory:
+                return read(trajectory)
+        except ResultError:
+            if attempt == ATTEMPTS - 1:
+                raise
+    return None
 
 
 def _count_of_result(result: Path) -> int:

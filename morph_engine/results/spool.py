@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -47,54 +48,6 @@ def finished_frames(result_path: str | Path) -> int:
     return sum(name.startswith("frame-") and name.endswith(".npz") for name in names)
 
 
-def read_positions(result_path: str | Path, frame: int) -> NDArray[np.float32]:
-    """Positions of one finished frame of a run that another process may be writing.
-
-    Args:
-        result_path: The result file it belongs to.
-        frame: Index of the frame, from 0.
-
-    Returns:
-        Particle positions [dx], shape [n, 3], float32, in the original particle order.
-
-    Raises:
-        ResultError: The frame is missing or damaged.
-    """
-    path = _frame_path(spool_path(result_path), frame)
-    with _stored(path) as arrays:
-        positions: NDArray[np.float32] = arrays["positions"]
-        return positions
-
-
-def read_det_f(result_path: str | Path, frame: int) -> NDArray[np.float32] | None:
-    """det F of one finished frame of a run that another process may be writing.
-
-    Args:
-        result_path: The result file it belongs to.
-        frame: Index of the frame, from 0.
-
-    Returns:
-        det F of each particle [ratio], shape [n], float32; None where the method has none.
-
-    Raises:
-        ResultError: The frame is missing or damaged.
-    """
-    with _stored(_frame_path(spool_path(result_path), frame)) as arrays:
-        return arrays.get("det_f")
-
-
-def read_run(result_path: str | Path) -> RunRecord:
-    """What a run is made of that another process may be writing.
-
-    Args:
-        result_path: The result file it belongs to.
-
-    Raises:
-        ResultError: There is no such run, or it is damaged.
-    """
-    return _read_run(spool_path(result_path))[1]
-
-
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
     """The state of a run after one frame.
@@ -110,21 +63,81 @@ class Checkpoint:
     scalars: Json
 
 
-class Spool:
-    """A run directory, made by `create` or `open` and closed by `close` or `with`.
+class SpoolReader:
+    """The frames that a run has finished by now, while another process may be writing it.
+
+    Args:
+        result_path: The result file it belongs to.
 
     Attributes:
-        path: The directory.
+        path: The run directory, which need not be there.
         result_path: The result file it belongs to.
-        run: What the run is made of.
+        frame_count: Number of finished frames; their indices run from 0.
     """
 
-    def __init__(self, result_path: Path, run: RunRecord, lock: BinaryIO | None) -> None:
+    def __init__(self, result_path: str | Path) -> None:
         self.path: Path = spool_path(result_path)
-        self.result_path = result_path
+        self.result_path: Path = Path(result_path)
+        self.frame_count: int = finished_frames(result_path)
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is an unfinished run."""
+        return (self.path / _RUN).is_file()
+
+    @cached_property
+    def run(self) -> RunRecord:
+        """What the run is made of.
+
+        Raises:
+            ResultError: There is no such run, or it is damaged.
+        """
+        return _read_run(self.path)[1]
+
+    def positions(self, frame: int) -> NDArray[np.float32]:
+        """Positions of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+
+        Raises:
+            ResultError: The frame is missing or damaged.
+        """
+        with _stored(self._frame_path(frame)) as arrays:
+            positions: NDArray[np.float32] = arrays["positions"]
+            return positions
+
+    def det_f(self, frame: int) -> NDArray[np.float32] | None:
+        """det F of a finished frame.
+
+        Args:
+            frame: Index of the frame, from 0.
+
+        Returns:
+            det F of each particle [ratio], shape [n], float32; None where the method has none.
+
+        Raises:
+            ResultError: The frame is missing or damaged.
+        """
+        with _stored(self._frame_path(frame)) as arrays:
+            return arrays.get("det_f")
+
+    def _frame_path(self, frame: int) -> Path:
+        return self.path / f"frame-{frame:06d}.npz"
+
+
+class Spool(SpoolReader):
+    """A run directory, made by `create` or `open` and closed by `close` or `with`."""
+
+    def __init__(self, result_path: Path, run: RunRecord, lock: BinaryIO | None) -> None:
+        super().__init__(result_path)
         self.run = run
         self._lock = lock
         self._notes = self._read_notes()  # metrics and events of each frame
+        self.frame_count = len(self._notes)
 
     @classmethod
     def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
@@ -198,11 +211,6 @@ class Spool:
             raise
 
     @property
-    def frame_count(self) -> int:
-        """Number of finished frames; their indices run from 0."""
-        return len(self._notes)
-
-    @property
     def events(self) -> list[Json]:
         """Events of all finished frames, in order."""
         return [event for notes in self._notes for event in notes["events"]]
@@ -212,38 +220,12 @@ class Spool:
         return dict(self._notes[frame]["metrics"])
 
     def positions(self, frame: int) -> NDArray[np.float32]:
-        """Positions of a finished frame.
-
-        Args:
-            frame: Index of the frame, from 0.
-
-        Returns:
-            Particle positions [dx], shape [n, 3], float32, in the original particle order.
-
-        Raises:
-            ResultError: The file is missing or damaged.
-        """
-        path = self._frame_path(frame)
-        arrays = _load_arrays(path)
-        with _reading(path):
-            positions: NDArray[np.float32] = arrays["positions"]
+        """As of `SpoolReader`; another number of particles is damage, too."""
+        positions = super().positions(frame)
+        with _reading(self._frame_path(frame)):
             if positions.shape != (self.run.particle_count, 3):
                 raise ValueError(f"holds an array of shape {positions.shape}")
-            return positions
-
-    def det_f(self, frame: int) -> NDArray[np.float32] | None:
-        """det F of a finished frame.
-
-        Args:
-            frame: Index of the frame, from 0.
-
-        Returns:
-            det F of each particle [ratio], shape [n], float32; None where the method has none.
-
-        Raises:
-            ResultError: The file is missing or damaged.
-        """
-        return read_det_f(self.result_path, frame)
+        return positions
 
     def append(
         self,
@@ -286,6 +268,7 @@ class Spool:
         with _writing(self.path), replacing(self._frame_path(frame)) as path:
             _save_arrays(path, arrays)
         self._notes.append(_decode(encoded))
+        self.frame_count += 1
 
     def save_checkpoint(
         self, frame: int, arrays: Mapping[str, NDArray[Any]], scalars: Mapping[str, Any]
@@ -336,6 +319,7 @@ class Spool:
             while self.frame_count > frame + 1:
                 self._frame_path(self.frame_count - 1).unlink()
                 self._notes.pop()
+                self.frame_count -= 1
 
     def remove(self) -> None:
         """Delete the run directory, once the result file is written.
@@ -366,13 +350,6 @@ class Spool:
             with _stored(path) as arrays:
                 notes.append(_decode(arrays[_JSON]))
         return notes
-
-    def _frame_path(self, frame: int) -> Path:
-        return _frame_path(self.path, frame)
-
-
-def _frame_path(spool: Path, frame: int) -> Path:
-    return spool / f"frame-{frame:06d}.npz"
 
 
 def _read_run(path: Path) -> tuple[Json, RunRecord]:

@@ -13,7 +13,7 @@ from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.single_flight import Flight
-from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_record
+from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
 from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.sandbox.computations import write_partial_result
@@ -62,7 +62,7 @@ def find_run_record(job: JobRecord, context: ServerContext) -> RunRecord:
     Raises:
         ProblemError: 404, it has not begun.
     """
-    run = read_record(context.storage.result_path(job.id))
+    run = read_run_record(context.storage.result_path(job.id))
     if run is None:
         if job.state.finished:
             raise ProblemError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from chamfer_morph.worker.frame_reader import mesh_in_grid_units, read_frame, read_record
+from chamfer_morph.worker.frame_reader import mesh_in_grid_units, read_frame, read_run_record
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 from chamfer_morph.worker.storage import writing
 from morph_engine.config import MorphConfig
@@ -29,7 +29,7 @@ def run(result: Path, index: int, path: Path) -> None:
     with writing("The surface"), wait_for(path.parent / "lock"):  # another API may be at it
         if path.exists():
             return
-        frame, record = read_frame(result, index), read_record(result)
+        frame, record = read_frame(result, index), read_run_record(result)
         if frame is None or record is None:
             raise ResultError("The frame has gone meanwhile.", "Ask for it again.")
         found = reconstruct_surface(
