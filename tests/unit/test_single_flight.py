@@ -81,7 +81,7 @@ def test_what_nobody_waits_for_is_not_computed() -> None:
         end.set()
         await first
         results = await asyncio.gather(*waiting, return_exceptions=True)
-        assert isinstance(results[0], ProblemError) and results[0].status == 503
+        assert isinstance(results[0], ProblemError) and results[0].status_code == 503
         assert results[1:] == ["c", "c"] and computed == ["c"]
 
     running(test)
@@ -105,11 +105,11 @@ def test_cancelled_work_is_killed() -> None:
         assert runner.find(("job", 1)) is None
         with pytest.raises(ProblemError) as caught:
             await asyncio.wait_for(asked, 10)
-        assert caught.value.status == 404 and await queued == "other"
+        assert caught.value.status_code == 404 and await queued == "other"
         runner.close()
         with pytest.raises(ProblemError) as caught:
             await runner.get(("job", 2), sleep, Waiting())
-        assert caught.value.status == 503
+        assert caught.value.status_code == 503
 
     running(test)
 
