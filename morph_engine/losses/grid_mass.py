@@ -32,7 +32,9 @@ class GridMass:
     """
 
     def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
-        self.point_count, self.point_mass, self.grid = point_count, point_mass, grid
+        self.point_count = point_count
+        self.point_mass = point_mass
+        self.grid = grid
         self._private = PrivateGrids(point_count, grid, values=1)
         self.nodes: Any = backend.active().scalars(grid.node_count)
 

@@ -23,8 +23,10 @@ class Matches:
         self.target = target
         self._target_index = NeighborIndex(target)
         self._particle_index = NeighborIndex(x)
-        self.forward, self.forward_distance = device.integers(n), device.scalars(n)
-        self.reverse, self.reverse_distance = device.integers(m), device.scalars(m)
+        self.forward: Any = device.integers(n)
+        self.forward_distance: Any = device.scalars(n)
+        self.reverse: Any = device.integers(m)
+        self.reverse_distance: Any = device.scalars(m)
 
     def update(self, x: Any) -> None:
         """Match particles at x and target points anew; the last matches speed up the search."""
