@@ -52,8 +52,8 @@ class Summary:
             "frames": self.frames,
             "particle_count": len(self.record.source_points),
             "target_count": len(self.record.target_points),
-            "method": self.record.config["method"],
-            "preset": self.record.config["preset"],
+            "method": self.record.config.method.name,
+            "preset": self.record.config.preset,
             "reference": "volume",
             "interrupted": self.interrupted,
             "out": str(self.out),
@@ -100,7 +100,7 @@ def run(
             f"Choose another file with --out, {resumable}or replace it with --force.",
         )
     summary = Summary(record, out)
-    last = record.config["frames"] - 1
+    last = record.config.frames - 1
     frames = morphing.run(
         record, device=device, threads=threads, out=out, resume=resume, overwrite=force
     )

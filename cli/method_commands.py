@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from chamfer_morph.cli.options import JsonOption
+from chamfer_morph.cli.options import JsonOption, MethodOption
 from chamfer_morph.cli.output import print_json
 
 app: typer.Typer = typer.Typer()
@@ -18,7 +18,7 @@ def methods(as_json: JsonOption = False) -> None:
     from chamfer_morph.cli.tables import print_table
     from morph_engine import methods as known
 
-    rows = {name: known.find(name).summary() for name in known.names()}
+    rows = {name: known.options_of(name).summary() for name in known.names()}
     if as_json:
         print_json({"methods": rows})
     else:
@@ -31,17 +31,20 @@ def presets(
     describe: Annotated[
         str | None, typer.Option(metavar="SECTION", help="Only settings of this section.")
     ] = None,
+    method: MethodOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the presets, or every setting of one with its meaning and range."""
     from chamfer_morph.cli.tables import print_settings, print_table
     from morph_engine import presets as known
 
+    overrides = {"method": method} if method else {}
     if as_json:
         chosen = [name] if name else known.names()
-        print_json({each: known.configure(each).model_dump(mode="json") for each in chosen})
-    elif name or describe:
-        print_settings(known.configure(name or known.DEFAULT), section=describe)
+        configs = {each: known.configure(each, overrides) for each in chosen}
+        print_json({each: config.model_dump(mode="json") for each, config in configs.items()})
+    elif name or describe or method:
+        print_settings(known.configure(name or known.DEFAULT, overrides), section=describe)
     else:
         print_table(
             ("preset", "what it is"), ((each, known.describe(each)) for each in known.names())

@@ -45,7 +45,7 @@ def execute_remotely(
         MorphError: A mesh is missing, or the service refuses or does not answer.
     """
     digests = {run.id: run.digest(meshes) for run in runs}
-    known = known_records(runs, store, digests)
+    known = known_records(runs, store, meshes)
     missing = [run for run in runs if run.id not in known]
     shapes = _upload(client, missing, meshes)
     progress = Progress(missing)
@@ -103,7 +103,7 @@ def _fetch(client: MorphClient, job: Job, run: Run, digest: str, store: Store) -
     try:
         client.download(job.id, path)
         with Trajectory(path) as result:
-            if result.config != run.config().model_dump(mode="json"):
+            if result.config != run.config():
                 return store.save_failure(
                     run, digest, f"The service computes with other settings (job {job.id})."
                 )

@@ -101,7 +101,7 @@ def _compute(
 
     at_once = jobs or default_jobs()
     runs = runs_of(experiments)
-    known = known_records(runs, store, {run.id: run.digest(meshes) for run in runs})
+    known = known_records(runs, store, meshes)
     missing = [run for run in runs if run.id not in known]
     if not quiet:
         print_plan(missing, known=len(known), jobs=at_once, server=server)

@@ -96,15 +96,16 @@ def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
     Raises:
         ConfigError: There is no such section.
     """
-    from morph_engine.config import field_paths
+    from morph_engine.config import setting_fields
 
+    known = setting_fields(config.method.name)
     fields = {
         path: field
-        for path, field in field_paths().items()
+        for path, field in known.items()
         if section is None or f"{path}.".startswith(f"{section}.")
     }
     if not fields:
-        sections = dict.fromkeys(path.split(".")[0] for path in field_paths() if "." in path)
+        sections = dict.fromkeys(path.split(".")[0] for path in known if "." in path)
         raise ConfigError(
             f"There is no section called {section!r}.", f"Choose one of {', '.join(sections)}."
         )
@@ -118,8 +119,11 @@ def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
 
 
 def _setting(config: MorphConfig, path: str) -> str:
-    value: object = config
-    for name in path.split("."):
+    if path == "method":
+        return config.method.name
+    first, *names = path.split(".")
+    value: object = getattr(config if first in type(config).model_fields else config.method, first)
+    for name in names:
         value = getattr(value, name)
     if isinstance(value, tuple):
         return ",".join(map(str, value))

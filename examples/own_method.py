@@ -11,21 +11,27 @@ point, and moves a fixed share of the way each frame.
 from __future__ import annotations
 
 import argparse
-from typing import Any, ClassVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from morph_engine import configure, methods, morph
+from morph_engine import configure, morph
+from morph_engine.config import MethodOptions
 from morph_engine.methods import FrameOutcome, Method, Problem
 
 
-@methods.register
-class Sorted(Method):
+class SortedOptions(MethodOptions):
     """Particles walk to target points of the same rank, slice by slice."""
 
-    name: ClassVar[str] = "sorted"
+    name: Literal["sorted"] = "sorted"
+
+
+class Sorted(Method[SortedOptions]):
+    """Straight ways between points of the same rank."""
+
+    Options = SortedOptions
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
@@ -76,7 +82,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     settings = {"frames": arguments.frames, "sampling.points_per_cell_edge": arguments.points}
-    config = configure("fast", settings | {"method": Sorted.name})
+    config = configure("fast", settings | {"method": "sorted"})
     for frame in morph(arguments.source, arguments.target, config):
         distance, distinct = frame.metrics["two_sided"], frame.metrics["many_to_one"]
         print(f"frame {frame.index:2}  Chamfer distance {distance:.3f} dx  distinct {distinct:.3f}")

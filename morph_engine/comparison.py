@@ -21,7 +21,7 @@ import trimesh
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points
-from morph_engine.geometry.sampling import HALF_EXTENT, SAFE_HALF_EXTENT, sample_lattice
+from morph_engine.geometry.sampling import SAFE_HALF_EXTENT, sample_lattice
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics
@@ -275,15 +275,13 @@ def _load(shape: Comparable, frame: int) -> _Shape:
 
 
 def _of_run(run: Trajectory, frame: int) -> _Shape:
-    grid = run.config["grid"]
-    margin = run.config.get("watchdog", {}).get("domain_margin", 0)
     target = _Shape(mesh=run.target) if isinstance(run.target, Mesh) else _Shape()
     target = replace(target.moved(np.linalg.inv(run.transform)), points=run.target_points)
     return _Shape(
         points=run.positions(frame),
         to_user=run.transform,
-        spacing=grid["dx"] / run.config["sampling"]["points_per_cell_edge"],
-        domain=grid.get("half_extent", HALF_EXTENT) - margin * grid["dx"],
+        spacing=run.config.spacing,
+        domain=run.config.domain,
         target=target,
     )
 

@@ -85,7 +85,7 @@ def prepare(source: Shape, target: Shape, config: MorphConfig | None = None) -> 
     target_points, to_grid = _points(target_shape, config)
     preset, _, version = config.preset.rpartition("-")
     return RunRecord(
-        config=config.model_dump(mode="json"),
+        config=config,
         source=source_shape,
         target=target_shape,
         source_points=source_points,
@@ -147,19 +147,19 @@ def run(
     overwrite: bool = False,
 ) -> Iterator[Frame]:
     """Run, resume or repeat what a run record describes; arguments as for `morph`."""
-    config = MorphConfig.model_validate(record.config)
-    check_resources(record, config, out)
+    config = record.config
+    check_resources(record, out)
     # Everything that can be refused is refused before a run directory exists.
-    method = methods.find(config.method)
+    method = methods.find(config.method.name)
     backend.start(device, threads=threads, precision=config.precision)
     if out is None:
-        yield from _frames(record, config, method, threads)
+        yield from _frames(record, method, threads)
         return
     spool = Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
     with spool:
         complete = False
         try:
-            yield from _frames(record, config, method, threads, spool)
+            yield from _frames(record, method, threads, spool)
             complete = True
         finally:
             if spool.frame_count:
@@ -167,15 +167,14 @@ def run(
         spool.remove()
 
 
-def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | None = None) -> None:
+def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     """Refuse a run that this machine cannot hold.
 
     Raises:
         ResourceError: Not enough memory or disk.
     """
-    need = estimate(
-        len(record.source_points), len(record.target_points), config.frames, method=config.method
-    )
+    frames, method = record.config.frames, record.config.method.name
+    need = estimate(len(record.source_points), len(record.target_points), frames, method=method)
     free = psutil.virtual_memory().available / MEGABYTE
     if need.memory_mb > free:
         raise ResourceError(
@@ -188,7 +187,7 @@ def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | No
     if not folder.is_dir():
         raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another --out.")
     # The frames lie on the disk twice while the result is assembled.
-    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * config.frames / MEGABYTE + 10
+    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(
@@ -199,11 +198,11 @@ def check_resources(record: RunRecord, config: MorphConfig, out: str | Path | No
 
 def _frames(
     record: RunRecord,
-    config: MorphConfig,
-    kind: type[Method],
+    kind: type[Method[Any]],
     threads: int,
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
+    config = record.config
     method = kind(Problem(record.source_points, record.target_points, config))
     stopping = EarlyStopping(config)
     start = 0
@@ -232,10 +231,10 @@ def _frames(
             return
         wall, cpu = time.perf_counter(), time.process_time()
         outcome = method.advance(index)
-        metrics = _measure(outcome, record, config, threads)
+        metrics = _measure(outcome, record, threads)
         events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
         if stopping.stopped or index == config.frames - 1:
-            metrics |= _measure_fill(outcome, record, config, threads)
+            metrics |= _measure_fill(outcome, record, threads)
         metrics |= outcome.numbers
         metrics["max_move"] = _max_move(before, outcome.positions)
         before = outcome.positions
@@ -267,10 +266,9 @@ def _max_move(before: NDArray[np.float32], after: NDArray[np.float32]) -> float:
     return float(np.sqrt(np.where(np.isfinite(squared), squared, np.inf).max()))
 
 
-def _measure(
-    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int
-) -> dict[str, float]:
+def _measure(outcome: FrameOutcome, record: RunRecord, threads: int) -> dict[str, float]:
     """Metrics of every frame."""
+    config = record.config
     metrics = chamfer_metrics(
         outcome.positions,
         record.target_points,
@@ -287,14 +285,12 @@ def _measure(
     return metrics
 
 
-def _measure_fill(
-    outcome: FrameOutcome, record: RunRecord, config: MorphConfig, threads: int
-) -> dict[str, float]:
+def _measure_fill(outcome: FrameOutcome, record: RunRecord, threads: int) -> dict[str, float]:
     """The floor-free metrics, which take longer and are for the last frame only."""
     metrics = fill_metrics(
         outcome.positions,
         record.target_points,
-        spacing=config.spacing,
+        spacing=record.config.spacing,
         workers=_workers(threads),
     )
     if isinstance(record.target, Mesh):

@@ -16,7 +16,7 @@ from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobRecord
-from morph_engine import methods, presets
+from morph_engine import presets
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, MeshError
@@ -55,14 +55,14 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         particles,
         targets,
         config.frames,
-        method=config.method,
+        method=config.method.name,
         threads=context.settings.threads or None,
     )
     limit = context.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,
         target=request.target,
-        config=config.model_dump(mode="json"),
+        config=config,
         device=request.device,
         timeout_seconds=min(request.timeout_seconds or limit, limit),
     )
@@ -70,7 +70,7 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         spec=spec,
         attributes={
             "body": body_digest(request.model_dump(mode="json")),
-            "method": config.method,
+            "method": config.method.name,
             "preset": request.preset,
             "source_name": source_name,
             "target_name": target_name,
@@ -99,8 +99,6 @@ def configure(request: JobRequest) -> MorphConfig:
     if "preset" in request.overrides:
         raise ConfigError("The preset is no override.", "Name it in the field `preset`.")
     config = presets.configure(request.preset, {**request.overrides, **short})
-    if config.method not in methods.names():
-        methods.find(config.method)
     try:
         json.dumps(config.model_dump(mode="json"), allow_nan=False)
     except ValueError:

@@ -26,7 +26,6 @@ from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
 from morph_engine.child_process import lower_priority
-from morph_engine.config import MorphConfig
 from morph_engine.digest import file_sha256
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import wait_for
@@ -69,9 +68,9 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
     if record is None and _is_complete(out):
         return _outcome(out)
     if record is None:
-        config = MorphConfig.model_validate(spec.config)
-        record = prepare(storage.resolve(spec.source), storage.resolve(spec.target), config)
-    frames = int(record.config["frames"])
+        source, target = storage.resolve(spec.source), storage.resolve(spec.target)
+        record = prepare(source, target, spec.config)
+    frames = record.config.frames
     resumed = _checkpointed(out) if resume else 0
     logged = {event.data["frame"] for event in log.read(limit=10**9) if event.type == "frame"}
     log.append("attempt", {"attempt": attempt, "resumed_frames": resumed})

@@ -96,7 +96,7 @@ def mesh_in_grid_units(record: RunRecord, role: Role) -> Mesh | None:
     shape = getattr(record, role)
     if not isinstance(shape, Mesh):
         return None
-    return fit_to_domain(shape, mode=record.config["sampling"]["fit"])[0]
+    return fit_to_domain(shape, mode=record.config.sampling.fit)[0]
 
 
 def _read(result: Path, read: Callable[[SpoolReader | Trajectory], Read | None]) -> Read | None:

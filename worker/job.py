@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from chamfer_morph.schemas import Device, Problem, Shape
+from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 
 
@@ -15,7 +16,7 @@ class JobSpec(BaseModel, frozen=True, extra="forbid"):
 
     source: Shape
     target: Shape
-    config: dict[str, Any] = Field(description="The resolved MorphConfig.")
+    config: Annotated[MorphConfig, BeforeValidator(stored_config)]
     device: Device = "auto"
     timeout_seconds: float = Field(gt=0, description="Running time after which it is stopped [s].")
 

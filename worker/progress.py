@@ -32,7 +32,7 @@ class JobProgress:
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
     """The progress of a job."""
     log = storage.events(job_id)
-    return _progress(log, log.version(), int(spec.config["frames"]))
+    return _progress(log, log.version(), spec.config.frames)
 
 
 @lru_cache(4096)

@@ -66,7 +66,7 @@ def smallest() -> JobSpec:
     return JobSpec(
         source=request.source,
         target=request.target,
-        config=configure(request).model_dump(mode="json"),
+        config=configure(request),
         device=request.device,
         timeout_seconds=3600,
     )

@@ -1,1 +1,5 @@
-"""Losses: what a morph minimises, each with its gradient."""
+"""Losses: what a morph minimises, each with its gradient; imported when first used."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

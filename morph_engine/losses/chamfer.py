@@ -7,7 +7,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config import ChamferConfig
+from morph_engine.config.sections import ChamferConfig
 from morph_engine.losses.cell_search import restrict_to_cells
 from morph_engine.losses.gaussian_smoothing import GaussianSmoothing
 from morph_engine.losses.matches import Matches
@@ -23,11 +23,15 @@ class ChamferLoss:
         matches: Nearest neighbours, shared with the metrics.
         config: Distances, clamping and smoothing.
         grid: Background grid.
+
+    Attributes:
+        matches: As given.
+        config: As given.
     """
 
     def __init__(self, matches: Matches, config: ChamferConfig, grid: Grid) -> None:
         self.matches = matches
-        self._config = config
+        self.config = config
         self._grid = grid
         self._reverse = backend.active().vectors(matches.forward.shape[0])
         self._average = (
@@ -40,13 +44,13 @@ class ChamferLoss:
         """The loss of particles at x [dx], shape [n, 3]; w_rev = `reverse_weight`."""
         self.matches.update(x)
         forward, reverse = self.matches.distances()
-        if self._config.neighborhood == "published":
+        if self.config.neighborhood == "published":
             forward, reverse = restrict_to_cells(self.matches, x, forward, reverse, self._grid)
         return self._mean_loss(forward) + reverse_weight * self._mean_loss(reverse)
 
     def add_gradient(self, x: Any, x_bar: Any, weight: float, reverse_weight: float) -> None:
         """Add weight * (g_fwd + reverse_weight * g_rev) at the x evaluated last to x_bar."""
-        delta, m = self._config.huber_delta, self.matches
+        delta, m = self.config.huber_delta, self.matches
         _add_forward(x, m.target, m.forward, x_bar, delta, weight)
         if reverse_weight == 0:
             return
@@ -62,18 +66,18 @@ class ChamferLoss:
 
     def _mean_loss(self, distance: NDArray[np.float64]) -> float:
         """Mean of l_delta(d); points without a match (d infinite) count with 0."""
-        delta = self._config.huber_delta
+        delta = self.config.huber_delta
         d = np.where(np.isfinite(distance), distance, 0.0)
         loss = d * d if delta == 0 else np.where(d < delta, d * d, delta * (2 * d - delta))
         return float(loss.mean())
 
     def _clamp_limit(self) -> float:
         """kappa times the mean length of the active reverse gradients (algorithm 5.3)."""
-        if self._config.reverse_clamp == 0:
+        if self.config.reverse_clamp == 0:
             return 0.0
         length = np.linalg.norm(self._reverse.to_numpy().astype(np.float64), axis=1)
         active = length[length > SMALLEST_GRADIENT]
-        return float(self._config.reverse_clamp * active.mean()) if len(active) else 0.0
+        return float(self.config.reverse_clamp * active.mean()) if len(active) else 0.0
 
 
 @ti.func

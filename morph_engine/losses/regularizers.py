@@ -1,4 +1,4 @@
-"""Local regularisers of direct optimisation: repulsion, smoothness, volume (algorithm 8.4)."""
+"""Local regularizers of direct optimisation: repulsion, smoothness, volume (algorithm 8.4)."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config import RegulariserConfig
+from morph_engine.config.sections import RegularizerConfig
 from morph_engine.losses.k_nearest_neighbors import k_nearest_neighbors
 
 SMALLEST_SQUARE = 1e-8  # repulsion stops growing below this squared distance [dx^2]
@@ -30,7 +30,7 @@ class Regularizers:
         config: Weights and lengths of the lists.
     """
 
-    def __init__(self, source: NDArray[Any], config: RegulariserConfig) -> None:
+    def __init__(self, source: NDArray[Any], config: RegularizerConfig) -> None:
         device = backend.active()
         self._config = config
         self._count = len(source)

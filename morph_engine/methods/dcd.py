@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from morph_engine.losses.weighted_chamfer import WeightedChamfer, density_weights
-from morph_engine.methods.point_optimization import PointOptimisation
-from morph_engine.methods.protocol import Problem
+from morph_engine import losses
+from morph_engine.config.sections import Count
+from morph_engine.methods.method import Problem
+from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import WeightedChamfer
 
 
-class Dcd(PointOptimisation):
+class DcdOptions(PointOptions):
     """Direct Chamfer optimisation in which points weigh by the density around them."""
 
-    name: ClassVar[str] = "dcd"
+    name: Literal["dcd"] = "dcd"
+    weighting: Literal["published", "inverse"] = Field(
+        "published", description="Dense regions weigh more, or sparse ones."
+    )
+    neighbors: int = Field(8, ge=1, le=64, description="Neighbours whose distance is density.")
+    refresh_frames: Count = Field(5, description="Frames after which particles weigh anew.")
+
+
+class Dcd(PointOptimization[DcdOptions]):
+    """Chamfer distance with weights from the distance of neighbours."""
+
+    Options = DcdOptions
     _loss: WeightedChamfer
 
     def __init__(self, problem: Problem) -> None:
@@ -33,15 +49,15 @@ class Dcd(PointOptimisation):
         self._weigh(state["weights"])
 
     def _make_loss(self) -> WeightedChamfer:
-        return WeightedChamfer(self._matches)
+        return losses.WeightedChamfer(self._matches)
 
     def _begin(self, frame: int) -> None:
-        if frame % self.problem.config.density.refresh_frames == 0:
+        if frame % self.options.refresh_frames == 0:
             self._weigh(self._weights(self._x.to_numpy()))
 
     def _weights(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        density = self.problem.config.density
-        return density_weights(points, density.neighbors, density.weighting)
+        options = self.options
+        return losses.density_weights(points, options.neighbors, options.weighting)
 
     def _weigh(self, particles: NDArray[np.float64]) -> None:
         self._of_particles = particles

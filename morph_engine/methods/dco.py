@@ -1,33 +1,43 @@
-"""Direct Chamfer optimisation, with local regularisers where they have weight (8.2, 8.4)."""
+"""Direct Chamfer optimisation, with local regularizers where they have weight (8.2, 8.4)."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, Literal
 
-from morph_engine.losses.regularizers import Regularizers
-from morph_engine.losses.weighted_chamfer import WeightedChamfer
-from morph_engine.methods.point_optimization import PointOptimisation
-from morph_engine.methods.protocol import Problem
+from morph_engine import losses
+from morph_engine.config.sections import RegularizerConfig
+from morph_engine.methods.method import Problem
+from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import WeightedChamfer
 
 
-class Dco(PointOptimisation):
+class DcoOptions(PointOptions):
     """No physics: every point by itself descends the Chamfer distance, regularised if asked."""
 
-    name: ClassVar[str] = "dco"
+    name: Literal["dco"] = "dco"
+    regularizers: RegularizerConfig = RegularizerConfig()
+
+
+class Dco(PointOptimization[DcoOptions]):
+    """Chamfer distance and local regularizers."""
+
+    Options = DcoOptions
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self._regularisers = Regularizers(problem.source, problem.config.regularisers)
+        self._regularizers = losses.Regularizers(problem.source, self.options.regularizers)
 
     def _make_loss(self) -> WeightedChamfer:
-        return WeightedChamfer(self._matches)
+        return losses.WeightedChamfer(self._matches)
 
     def _begin(self, frame: int) -> None:
-        self._regularisers.rebuild(self._x)
+        self._regularizers.rebuild(self._x)
 
     def _value(self) -> float:
-        return super()._value() + self._regularisers.value(self._x)
+        return super()._value() + self._regularizers.value(self._x)
 
     def _differentiate(self) -> None:
         super()._differentiate()
-        self._regularisers.add_gradient(self._x, self._gradient)
+        self._regularizers.add_gradient(self._x, self._gradient)

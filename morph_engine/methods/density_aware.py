@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from morph_engine.losses.density_aware_chamfer import DensityAwareChamfer
-from morph_engine.methods.point_optimization import PointOptimisation
+from pydantic import Field
+
+from morph_engine import losses
+from morph_engine.config import CostRates
+from morph_engine.config.sections import Positive
+from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import DensityAwareChamfer
 
 
-class DensityAware(PointOptimisation):
+class DensityAwareOptions(PointOptions):
     """Direct optimisation of the distance of Wu et al., which shares out crowded matches."""
 
-    name: ClassVar[str] = "density_aware"
+    cost: ClassVar[CostRates] = CostRates(9e-6, 6e-6, 0.8, 0.4)
+
+    name: Literal["density_aware"] = "density_aware"
+    alpha: Positive = Field(0.2, description="Decay with the distance [1 / grid unit].")
+
+
+class DensityAware(PointOptimization[DensityAwareOptions]):
+    """Density-aware Chamfer distance."""
+
+    Options = DensityAwareOptions
 
     def _make_loss(self) -> DensityAwareChamfer:
-        return DensityAwareChamfer(self._matches, self.problem.config.density.alpha)
+        return losses.DensityAwareChamfer(self._matches, self.options.alpha)

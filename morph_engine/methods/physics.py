@@ -2,106 +2,142 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from morph_engine import backend
-from morph_engine.losses.chamfer import ChamferLoss
-from morph_engine.losses.grid_mass import GridMass, GridMassLoss
-from morph_engine.losses.matches import Matches
-from morph_engine.methods.protocol import FrameOutcome, Method, Problem
-from morph_engine.mpm.grid import cell_order
-from morph_engine.mpm.simulation_setup import make_grid, make_simulation, particle_mass
-from morph_engine.mpm.state import Particles
-from morph_engine.optimization.frame_optimizer import FrameOptimizer, FrameReport
-from morph_engine.optimization.schedule import frame_weights
+from morph_engine import losses, optimization
+from morph_engine.config.sections import (
+    AdjointConfig,
+    GridLossConfig,
+    OptimizerConfig,
+    RestartingWatchdogConfig,
+    SmoothingConfig,
+)
+from morph_engine.methods.method import FrameOutcome, Problem
+from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import GridMassLoss
+    from morph_engine.optimization import FrameOptimizer, FrameWeights
 
 
-class Physics(Method):
+class ControlOptions(MpmOptions):
+    """Options of the methods that control matter by gradients."""
+
+    rest_volume: Literal["density", "lattice"] = Field(
+        "density", description="Rest volumes from the density estimate of algorithm 1.3, or h^3."
+    )
+    smoothing: SmoothingConfig = SmoothingConfig()
+    adjoint: AdjointConfig = AdjointConfig()
+    grid_loss: GridLossConfig = GridLossConfig()
+    optimizer: OptimizerConfig = OptimizerConfig()
+    watchdog: RestartingWatchdogConfig = RestartingWatchdogConfig()
+
+
+class PhysicsOptions(ControlOptions):
     """Matter flows under internal forces so that its mass on the grid becomes the target's."""
 
-    name: ClassVar[str] = "physics"
-    with_chamfer: ClassVar[bool] = False
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        # closer to the target than the published settings, in less time: docs/presets.md
+        "fast": {
+            "material": {"drag": 4.0},
+            "smoothing": {"late_frame": 12},
+            "adjoint": {"drop_smoothing": True},
+            "optimizer": {"layers_per_step": 3, "passes": 2, "step": 0.006, "far_distance": 0.5},
+        },
+        # what the authors' program does (algorithm 11.2, H0 of 7.3)
+        "published": {
+            "material": {"model": "fixed_corotated"},
+            "adjoint": {"drop_smoothing": True, "carry_control": True, "drop_drag": True},
+            "optimizer": {"shared_counter": True},
+        },
+        # the text of the paper taken literally (algorithm 11)
+        "paper": {
+            "smoothing": {"values": (0.955,), "first_frames": (0,)},
+            "grid_loss": {"outside_factor": 1.0},
+        },
+    }
+
+    name: Literal["physics"] = "physics"
+
+
+ControlOptionsT = TypeVar("ControlOptionsT", bound=ControlOptions)
+
+
+class ControlMethod(MpmMethod[ControlOptionsT], Generic[ControlOptionsT]):
+    """Matter whose deformation is controlled frame by frame, so that a loss falls."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        config = problem.config
-        device = backend.active()
+        config, options = problem.config, self.options
         n = len(problem.source)
-        mass = particle_mass(config)
-        grid = make_grid(config)
-        self._grid = grid
-        self._mass = mass
-        self._particles = Particles.at_rest(problem.source.astype(device.numpy_real))
-        source, target = device.upload(problem.source), device.upload(problem.target)
+        target = self.device.upload(problem.target)
         self._rest_volume = (
-            GridMass(n, mass, grid).rest_volumes(source)
-            if config.sampling.rest_volume == "density"
-            else np.full(n, config.spacing**3, device.numpy_real)
+            losses.GridMass(n, self._mass, self._grid).rest_volumes(
+                self.device.upload(problem.source)
+            )
+            if options.rest_volume == "density"
+            else np.full(n, config.spacing**3, self.device.numpy_real)
         )
-        self._simulation = make_simulation(
-            config, self._rest_volume, transitions=config.time.transitions_per_frame
+        self._simulation = self._make_simulation(
+            self._rest_volume,
+            transitions=options.time.transitions_per_frame,
+            adjoint=options.adjoint,
         )
-        self._matches = Matches(target, source)
-        self._control = FrameOptimizer(
-            self._simulation,
-            GridMassLoss(
+        self._control = self._make_control(
+            losses.GridMassLoss(
                 target,
                 particle_count=n,
-                point_mass=mass,
-                grid=grid,
-                outside_factor=config.grid_loss.outside_factor,
-            ),
-            ChamferLoss(self._matches, config.chamfer, grid) if self.with_chamfer else None,
-            config,
+                point_mass=self._mass,
+                grid=self._grid,
+                outside_factor=options.grid_loss.outside_factor,
+            )
         )
 
     def advance(self, frame: int) -> FrameOutcome:
         """Optimise the control of one frame and carry its last layer on (algorithm 6.4)."""
         simulation = self._simulation
-        order = cell_order(self._particles.x, self._grid)
+        order = self._cell_order()
         simulation.volume.from_numpy(self._rest_volume[order])
-        simulation.layers[0].upload(self._particles.permuted(order))
-        self._matches.rebuild(simulation.layers[0].x)
-        weights = frame_weights(self.problem.config, frame, with_chamfer=self.with_chamfer)
-        self._matches.update(simulation.layers[0].x)
-        report = self._control.run(frame, weights, two_sided(*self._matches.distances()))
-        self._matches.update(simulation.last.x)
-        d_fwd, d_rev = self._matches.distances()
-        original = np.argsort(order)
-        self._particles = simulation.last.download().permuted(original)
-        return FrameOutcome(
-            positions=self._particles.x.astype(np.float32),
-            d_fwd=d_fwd[original],
-            nearest_fwd=self._matches.forward.to_numpy()[original],
-            d_rev=d_rev,
-            deformation=self._particles.F,
-            numbers=self._numbers(report),
-            events=tuple(report.events),
-        )
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Positions, velocities, affine velocities and deformation gradients."""
-        p = self._particles
-        return {"x": p.x, "v": p.v, "C": p.C, "F": p.F}
-
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take up a state that `state` returned."""
-        self._particles = Particles(**state)
-
-    def _numbers(self, report: FrameReport) -> dict[str, float]:
-        speed_squared = np.sum(self._particles.v.astype(np.float64) ** 2, axis=1)
-        return {
+        first, last = simulation.layers[0], simulation.last
+        first.upload(self._particles.permuted(order))
+        self._matches.rebuild(first.x)
+        self._matches.update(first.x)
+        distance = two_sided(*self._matches.distances())
+        report = self._control.run(frame, self._weights(frame), distance)
+        self._matches.update(last.x)
+        self._keep(last, order)
+        numbers = {
             "loss_physics": report.losses.physics,
             "loss_chamfer": report.losses.chamfer,
-            "kinetic_energy": float(0.5 * self._mass * speed_squared.sum()),
-            "max_speed": float(np.sqrt(speed_squared.max())),
             "accepted_steps": float(report.accepted),
             "failed_steps": float(report.failed),
             "dt": report.dt,
         }
+        return self._outcome(order, numbers, tuple(report.events))
+
+    def _make_control(self, grid_loss: GridMassLoss) -> FrameOptimizer:
+        """What improves the control of a frame."""
+        return optimization.FrameOptimizer(
+            self._simulation,
+            grid_loss,
+            config=self.options.optimizer,
+            restarts=self.options.watchdog.restarts,
+        )
+
+    def _weights(self, frame: int) -> FrameWeights:
+        """The scheduled numbers of a frame."""
+        return optimization.physics_weights(self.options.smoothing, frame)
+
+
+class Physics(ControlMethod[PhysicsOptions]):
+    """The grid mass loss alone."""
+
+    Options = PhysicsOptions
 
 
 def two_sided(forward: NDArray[np.float64], reverse: NDArray[np.float64]) -> float:

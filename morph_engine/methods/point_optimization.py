@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine import backend
+from morph_engine import geometry, losses, optimization
+from morph_engine.config import CostRates, MethodOptions
+from morph_engine.config.sections import DescentConfig
 from morph_engine.errors import SimulationError
-from morph_engine.geometry.neighbor_index import REACH
-from morph_engine.losses.matches import Matches
-from morph_engine.methods.protocol import FrameOutcome, Method, Problem
-from morph_engine.optimization.amsgrad import AMSGrad
+from morph_engine.methods.method import FrameOutcome, Method, Problem
+
+if TYPE_CHECKING:
+    from morph_engine.optimization import AMSGrad
+
+
+class PointOptions(MethodOptions):
+    """Options of every method that moves points directly."""
+
+    cost: ClassVar[CostRates] = CostRates(6e-6, 5e-6, 0.7, 0.3)  # at 30 steps per frame
+
+    descent: DescentConfig = DescentConfig()
+
+
+PointOptionsT = TypeVar("PointOptionsT", bound=PointOptions)
 
 
 class PointLoss(Protocol):
@@ -26,7 +39,7 @@ class PointLoss(Protocol):
         """Set `gradient` [n, 3] to that at particles x [dx], shape [n, 3], device arrays."""
 
 
-class PointOptimisation(Method):
+class PointOptimization(Method[PointOptionsT], Generic[PointOptionsT]):
     """A loss of the positions, descended by AMSGrad; a frame is a fixed number of steps.
 
     The optimiser's state is continuous over all frames. Nearest neighbours are exact and
@@ -35,10 +48,10 @@ class PointOptimisation(Method):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        device = backend.active()
+        device = self.device
         self._x = device.upload(problem.source)
         self._gradient = device.vectors(len(problem.source))
-        self._matches = Matches(device.upload(problem.target), self._x)
+        self._matches = losses.Matches(device.upload(problem.target), self._x)
         self._matches.update(self._x)
         self._loss = self._make_loss()
         self._optimizer = self._make_optimizer()
@@ -48,12 +61,12 @@ class PointOptimisation(Method):
         before = self.state()
         self._matches.rebuild(self._x)
         self._begin(frame)
-        for _ in range(self.problem.config.points.steps_per_frame):
+        for _ in range(self.options.descent.steps_per_frame):
             self._differentiate()
             self._move()
             self._matches.update(self._x)
         positions = self._x.to_numpy()
-        if not (np.abs(positions) <= REACH).all():
+        if not (np.abs(positions) <= geometry.REACH).all():
             self.restore(before)
             raise SimulationError(
                 f"Frame {frame} of method {self.name} has particles at non-finite positions.",
@@ -85,17 +98,16 @@ class PointOptimisation(Method):
 
     def _make_optimizer(self) -> AMSGrad:
         """The optimiser of the variables, which are the positions."""
-        points = self.problem.config.points
-        return self._amsgrad(len(self.problem.source), points.learning_rate)
+        return self._amsgrad(len(self.problem.source))
 
-    def _amsgrad(self, count: int, learning_rate: float) -> AMSGrad:
-        config = self.problem.config
-        return AMSGrad(
+    def _amsgrad(self, count: int) -> AMSGrad:
+        descent = self.options.descent
+        return optimization.AMSGrad(
             count,
-            learning_rate=learning_rate,
-            beta1=config.optimizer.beta1,
-            beta2=config.optimizer.beta2,
-            epsilon=config.points.epsilon,
+            learning_rate=descent.learning_rate,
+            beta1=descent.beta1,
+            beta2=descent.beta2,
+            epsilon=descent.epsilon,
         )
 
     def _begin(self, frame: int) -> None:

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from morph_engine import backend
-from morph_engine.losses.weighted_chamfer import WeightedChamfer
-from morph_engine.methods.point_optimization import PointOptimisation
-from morph_engine.optimization.amsgrad import AMSGrad
-from morph_engine.optimization.control_lattice import ControlLattice
+from morph_engine import losses, optimization
+from morph_engine.config import CostRates
+from morph_engine.config.sections import DescentConfig, Positive
+from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import WeightedChamfer
+    from morph_engine.optimization import AMSGrad
 
 
-class SharedBasis(PointOptimisation):
+class ControlDescentConfig(DescentConfig):
+    """Descent on the control points, by AMSGrad (algorithm 8.2)."""
+
+    learning_rate: Positive = Field(
+        0.03, description="Rate of AMSGrad on the control points [grid units]."
+    )
+
+
+class SharedBasisOptions(PointOptions):
     """Chamfer distance over a smooth field of displacements: control points on a lattice."""
 
-    name: ClassVar[str] = "shared_basis"
+    cost: ClassVar[CostRates] = CostRates(20e-6, 5e-6, 1.3, 0.3)
+
+    name: Literal["shared_basis"] = "shared_basis"
+    cells: int = Field(8, ge=1, le=64, description="Cells along the source's longest side.")
+    descent: ControlDescentConfig = ControlDescentConfig()
+
+
+class SharedBasis(PointOptimization[SharedBasisOptions]):
+    """Chamfer distance, whose gradient moves the control points of a lattice."""
+
+    Options = SharedBasisOptions
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Positions, the optimiser's state, and the control displacements, shape [c, 3]."""
@@ -29,15 +51,17 @@ class SharedBasis(PointOptimisation):
         self._control.from_numpy(state["control"])
 
     def _make_loss(self) -> WeightedChamfer:
-        return WeightedChamfer(self._matches)
+        return losses.WeightedChamfer(self._matches)
 
     def _make_optimizer(self) -> AMSGrad:
-        device, basis = backend.active(), self.problem.config.basis
+        device = self.device
         self._source = self.problem.source.astype(device.numpy_real)
-        self._lattice = ControlLattice(self._source, basis.cells, device.numpy_real)
+        self._lattice = optimization.ControlLattice(
+            self._source, self.options.cells, device.numpy_real
+        )
         self._control = device.vectors(self._lattice.count)
         self._control_gradient = device.vectors(self._lattice.count)
-        return self._amsgrad(self._lattice.count, basis.learning_rate)
+        return self._amsgrad(self._lattice.count)
 
     def _move(self) -> None:
         """One step of the control points, which carries all particles along."""

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from morph_engine.losses.sliced_wasserstein import SlicedWasserstein
-from morph_engine.methods.point_optimization import PointOptimisation
+from morph_engine import losses
+from morph_engine.config import CostRates
+from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+
+if TYPE_CHECKING:
+    from morph_engine.losses import SlicedWasserstein
 
 
-class Swd(PointOptimisation):
+class SwdOptions(PointOptions):
     """No physics and no nearest neighbours: points descend the sliced Wasserstein distance."""
 
-    name: ClassVar[str] = "swd"
+    cost: ClassVar[CostRates] = CostRates(160e-6, 6e-6, 3.0, 2.0)
 
+    name: Literal["swd"] = "swd"
+    directions: int = Field(16, ge=1, le=1024, description="Lines to project on, anew each step.")
+
+
+class Swd(PointOptimization[SwdOptions]):
+    """Sliced Wasserstein distance along lines that every step draws anew."""
+
+    Options = SwdOptions
     _loss: SlicedWasserstein
 
     def _make_loss(self) -> SlicedWasserstein:
-        directions = self.problem.config.sliced.directions
-        return SlicedWasserstein(self.problem.target.astype(np.float64), self._x, directions)
+        target = self.problem.target.astype(np.float64)
+        return losses.SlicedWasserstein(target, self._x, self.options.directions)
 
     def _begin(self, frame: int) -> None:
         self._lines = np.random.default_rng((self.problem.config.seed, frame))

@@ -1,1 +1,5 @@
-"""Differentiable Material Point Method."""
+"""Differentiable Material Point Method; its kernels are compiled when first used."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

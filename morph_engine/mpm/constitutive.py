@@ -8,6 +8,7 @@ import taichi as ti
 
 NEO_HOOKEAN = 0
 FIXED_COROTATED = 1
+MODELS = {"neo_hookean": NEO_HOOKEAN, "fixed_corotated": FIXED_COROTATED}
 SMALLEST_VOLUME_RATIO = 1e-6
 
 

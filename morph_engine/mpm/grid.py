@@ -13,6 +13,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine.backend import CPU_CHUNK_COUNT
+from morph_engine.config.sections import GridConfig, Kernel
 from morph_engine.errors import ConfigError
 
 PADDING = 2
@@ -64,6 +65,11 @@ class Grid:
     def affine(self) -> float:
         """The constant c with sum_i w d (x) d = I / c [1/dx^2]."""
         return (3.0 if self.width == 4 else 4.0) / self.dx**2
+
+
+def make_grid(config: GridConfig, kernel: Kernel) -> Grid:
+    """The background grid of a configuration."""
+    return Grid(config.dx, config.half_extent, width=4 if kernel == "cubic" else 3)
 
 
 def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:

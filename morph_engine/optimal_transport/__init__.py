@@ -1,6 +1,5 @@
 """Who goes where: one even destination for each particle, and the cheapest way to hand them out."""
 
-from morph_engine.optimal_transport.destinations import even_destinations, random_destinations
-from morph_engine.optimal_transport.plan import transport_plan
+import lazy_loader
 
-__all__ = ["even_destinations", "random_destinations", "transport_plan"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """One frame's optimization: update rules, schedules, line search and watchdog."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Literal
 
-from morph_engine.config import MorphConfig
+from morph_engine.config.sections import OptimizerConfig
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMassLoss
@@ -65,31 +66,40 @@ class FrameOptimizer:
         simulation: The layers of the frame; layer 0 holds the state it starts from.
         grid_loss: Grid mass loss.
         chamfer_loss: Chamfer loss, or None for physics alone.
-        config: The configuration.
+        config: Passes, steps and line search.
+        restarts: Restarts of a frame at half the time step.
+        normalize_by: Gradient norm that scales the update.
+        weight_mode: Where the weight of the grid mass loss acts.
     """
 
     def __init__(
         self,
         simulation: Simulation,
         grid_loss: GridMassLoss,
-        chamfer_loss: ChamferLoss | None,
-        config: MorphConfig,
+        chamfer_loss: ChamferLoss | None = None,
+        *,
+        config: OptimizerConfig,
+        restarts: int,
+        normalize_by: Literal["physics", "total"] = "total",
+        weight_mode: Literal["coupling_only", "chain", "literal"] = "coupling_only",
     ) -> None:
         self._simulation = simulation
         self._grid_loss = grid_loss
         self._chamfer_loss = chamfer_loss
         self._config = config
+        self._restarts = restarts
+        self._normalize_by = normalize_by
+        self._weight_mode = weight_mode
+        self._dt = simulation.dt
         count = len(simulation.transitions)
-        self._controls = [
-            LayerOptimizer(simulation.particle_count, config.optimizer) for _ in range(count)
-        ]
-        size = config.optimizer.layers_per_step
+        self._controls = [LayerOptimizer(simulation.particle_count, config) for _ in range(count)]
+        size = config.layers_per_step
         self._groups = [
             list(range(first, min(first + size, count))) for first in range(0, count, size)
         ]
         self._norm = Norm()
         self._weights = FrameWeights(0.0, 0.0, 1.0, 1.0)
-        self._step = config.optimizer.step
+        self._step = config.step
         self._counts = [0] * count
         self._losses = Losses(math.nan, math.nan)
         self._rejected: Counter[str] = Counter()
@@ -113,8 +123,8 @@ class FrameOptimizer:
         simulation.smoothing = weights.smoothing
         self._weights = weights
         self._step = self._first_step(distance)
-        simulation.dt = self._config.time.dt
-        for restart in range(self._config.watchdog.restarts + 1):
+        simulation.dt = self._dt
+        for restart in range(self._restarts + 1):
             self._reset()
             faults = simulation.forward()
             if faults == 0:
@@ -123,7 +133,7 @@ class FrameOptimizer:
                     break
                 faults = NON_FINITE
             cause = ", ".join(fault_names(faults))
-            if restart == self._config.watchdog.restarts:
+            if restart == self._restarts:
                 raise SimulationError(
                     f"Frame {frame} cannot go on: {cause}, even at a time step of "
                     f"{simulation.dt:.2g} s.",
@@ -139,7 +149,7 @@ class FrameOptimizer:
                 )
             )
         report.first_losses = self._losses
-        for pass_index in range(self._config.optimizer.passes):
+        for pass_index in range(self._config.passes):
             for group in self._groups:
                 if self._control_step(group, pass_index):
                     report.accepted += 1
@@ -167,11 +177,11 @@ class FrameOptimizer:
 
     def _control_step(self, group: list[int], pass_index: int) -> bool:
         """Improve the control of the layers in a group; whether a trial was accepted."""
-        optimizer = self._config.optimizer
+        optimizer = self._config
         lowest = group[0]
         before = self._losses
         chamfer_weight = self._chamfer_weight(before)
-        norms = self._physics_norms(group) if optimizer.normalise_by == "physics" else None
+        norms = self._physics_norms(group) if self._normalize_by == "physics" else None
         if norms is None or chamfer_weight or self._decay(pass_index) != 1:
             self._seed_gradient(chamfer_weight)
             self._simulation.backward(lowest, decay=self._decay(pass_index))
@@ -207,14 +217,14 @@ class FrameOptimizer:
 
     def _first_step(self, distance: float) -> float:
         """alpha_0 of a frame: larger where there is far to go."""
-        optimizer = self._config.optimizer
+        optimizer = self._config
         if optimizer.far_distance == 0:
             return optimizer.step
         growth = distance / optimizer.far_distance
         return optimizer.step * min(max(growth, 1.0), optimizer.far_factor)
 
     def _update_count(self, layer: int) -> int:
-        shared = self._config.optimizer.shared_counter
+        shared = self._config.shared_counter
         return sum(self._counts) if shared else self._counts[layer]
 
     def _evaluate(self) -> Losses:
@@ -227,16 +237,17 @@ class FrameOptimizer:
     def _chamfer_weight(self, losses: Losses) -> float:
         """W of algorithm 5.4, frozen for one control step."""
         weight = self._weights.chamfer
-        if self._config.chamfer.normalise and losses.chamfer > SMALLEST:
+        loss = self._chamfer_loss
+        if loss is not None and loss.config.normalize and losses.chamfer > SMALLEST:
             return weight * losses.physics / losses.chamfer
         return weight
 
     def _physics_weight(self) -> float:
-        literal = self._config.grid_loss.weight_mode == "literal"
+        literal = self._weight_mode == "literal"
         return self._weights.physics if literal else 1.0
 
     def _decay(self, pass_index: int) -> float:
-        chain = self._config.grid_loss.weight_mode == "chain" and pass_index > 0
+        chain = self._weight_mode == "chain" and pass_index > 0
         return self._weights.physics if chain else 1.0
 
     def _objective(self, losses: Losses, chamfer_weight: float) -> float:

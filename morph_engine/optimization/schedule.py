@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from morph_engine.config import MorphConfig
+from morph_engine.config.sections import (
+    ChamferConfig,
+    SmoothingConfig,
+    WeightedGridLossConfig,
+)
 
 
 @dataclass(frozen=True)
@@ -24,39 +28,39 @@ class FrameWeights:
     reverse: float
 
 
-def frame_weights(config: MorphConfig, frame: int, *, with_chamfer: bool) -> FrameWeights:
-    """The weights of a frame.
+def physics_weights(smoothing: SmoothingConfig, frame: int) -> FrameWeights:
+    """The weights of a frame (0-based) without a Chamfer term."""
+    return FrameWeights(_smoothing(smoothing, frame), chamfer=0.0, physics=1.0, reverse=1.0)
 
-    Args:
-        config: The configuration.
-        frame: 0-based frame index.
-        with_chamfer: Whether the method has a Chamfer term; without one w_phys stays 1.
-    """
-    physics = _physics_weight(config, frame) if with_chamfer else 1.0
-    reverse = config.chamfer.reverse_weight
+
+def joint_weights(
+    smoothing: SmoothingConfig,
+    grid_loss: WeightedGridLossConfig,
+    chamfer: ChamferConfig,
+    frame: int,
+) -> FrameWeights:
+    """The weights of a frame (0-based) with a Chamfer term."""
+    physics = _physics_weight(grid_loss, frame)
     return FrameWeights(
-        smoothing=_smoothing(config, frame, with_chamfer),
-        chamfer=_chamfer_weight(config, frame) if with_chamfer else 0.0,
+        smoothing=_smoothing(smoothing, frame),
+        chamfer=_chamfer_weight(chamfer, frame),
         physics=physics,
-        reverse=reverse * physics if config.chamfer.reverse_coupled else reverse,
+        reverse=chamfer.reverse_weight * (physics if chamfer.reverse_coupled else 1.0),
     )
 
 
-def _chamfer_weight(config: MorphConfig, frame: int) -> float:
-    ramp = (frame - config.chamfer.start_frame) / config.chamfer.ramp_frames
-    return config.chamfer.weight * min(max(ramp, 0.0), 1.0)
+def _chamfer_weight(chamfer: ChamferConfig, frame: int) -> float:
+    ramp = (frame - chamfer.start_frame) / chamfer.ramp_frames
+    return chamfer.weight * min(max(ramp, 0.0), 1.0)
 
 
-def _physics_weight(config: MorphConfig, frame: int) -> float:
-    loss = config.grid_loss
+def _physics_weight(loss: WeightedGridLossConfig, frame: int) -> float:
     progress = min(max((frame - loss.decay_start) / loss.decay_frames, 0.0), 1.0)
     return 1.0 + (loss.final_weight - 1.0) * progress
 
 
-def _smoothing(config: MorphConfig, frame: int, with_chamfer: bool) -> float:
-    s = config.smoothing
-    late = s.late_frame if with_chamfer else s.late_frame_physics
-    if late is not None and frame >= late:
-        return s.late_value
-    phase = sum(start <= frame for start in s.first_frames) - 1
-    return s.values[phase]
+def _smoothing(smoothing: SmoothingConfig, frame: int) -> float:
+    if smoothing.late_frame is not None and frame >= smoothing.late_frame:
+        return smoothing.late_value
+    phase = sum(start <= frame for start in smoothing.first_frames) - 1
+    return smoothing.values[phase]

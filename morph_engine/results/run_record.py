@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
 
 Json = dict[str, Any]
@@ -42,7 +43,7 @@ class RunRecord:
     """The inputs of one run.
 
     Attributes:
-        config: Resolved configuration, JSON only (`MorphConfig.model_dump(mode="json")`).
+        config: Resolved configuration.
         source: Source shape in the user's own coordinates.
         target: Target shape in the user's own coordinates.
         source_points: Particle positions before the first frame [dx], shape [n, 3], float32.
@@ -54,7 +55,7 @@ class RunRecord:
         software: Versions of the software that makes the numbers.
     """
 
-    config: Json
+    config: MorphConfig
     source: Geometry
     target: Geometry
     source_points: NDArray[np.float32]
@@ -76,7 +77,7 @@ class RunRecord:
         Two records with equal documents describe the same run.
         """
         document = {
-            "config": self.config,
+            "config": self.config.model_dump(mode="json"),
             "preset": self.preset,
             "preset_version": self.preset_version,
             "seeds": self.seeds,
@@ -108,7 +109,8 @@ class RunRecord:
         """The record of which `document()` and `arrays()` were stored.
 
         Args:
-            document: As `document()` returned it; keys this version does not know are ignored.
+            document: As `document()` of this version or an older one returned it; unknown keys are
+                ignored.
             arrays: As `arrays()` returned them.
 
         Returns:
@@ -118,7 +120,7 @@ class RunRecord:
             KeyError: A part is missing.
         """
         return cls(
-            config=document["config"],
+            config=stored_config(document["config"]),
             source=_geometry("source", document, arrays),
             target=_geometry("target", document, arrays),
             source_points=arrays["source_points"],

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from morph_engine.config import MorphConfig
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.results.fields import field
 from morph_engine.results.trajectory import Trajectory
@@ -122,7 +121,7 @@ class Selection:
 
     @cached_property
     def _spacing(self) -> float:
-        return MorphConfig.model_validate(self.trajectory.config).spacing
+        return self.trajectory.config.spacing
 
     @cached_property
     def _scale(self) -> float:

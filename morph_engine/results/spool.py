@@ -201,9 +201,9 @@ class Spool(SpoolReader):
         with _writing(path):
             lock = _lock(path) if writable else None
         try:
-            document, stored = _read_run(path)
+            stored = _read_run(path)
             if run is not None:
-                _check_same(path, document, run.document())
+                _check_same(path, stored.document(), run.document())
             return cls(Path(result_path), stored, lock)
         except BaseException:
             if lock is not None:
@@ -352,11 +352,11 @@ class Spool(SpoolReader):
         return notes
 
 
-def _read_run(path: Path) -> tuple[Json, RunRecord]:
-    """The record in a run directory, as it is stored and as it is used."""
+def _read_run(path: Path) -> RunRecord:
+    """The record in a run directory."""
     with _reading(path / _RUN):
         document: Json = json.loads((path / _RUN).read_text(encoding="utf-8"))
-        return document, RunRecord.restore(document, _load_arrays(path / _ARRAYS))
+        return RunRecord.restore(document, _load_arrays(path / _ARRAYS))
 
 
 def _lock(path: Path) -> BinaryIO:

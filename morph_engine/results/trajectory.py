@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 from morph_engine.results.run_record import Geometry, Json, RunRecord
@@ -27,7 +28,8 @@ from morph_engine.results.spool import Spool
 
 Status = Literal["complete", "partial"]
 
-_FORMAT = 1
+_FORMAT = 2
+"""1: the configuration is that of version 0.1.0."""
 _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 
 
@@ -312,7 +314,7 @@ class Trajectory:
             return RunRecord.restore(document, arrays)
 
     @property
-    def config(self) -> Json:
+    def config(self) -> MorphConfig:
         """Resolved configuration of the run."""
         return self.run.config
 

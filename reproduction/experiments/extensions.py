@@ -135,12 +135,12 @@ MOTION = Experiment(
 
 REMOVED_PARTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("All of it", "", {}),
-    ("Places drawn at random", "random", {"transport.places": "random"}),
-    ("Without exchanges", "sweeps0", {"transport.sweeps": 0}),
+    ("Places drawn at random", "random", {"destinations": "random"}),
+    ("Without exchanges", "sweeps0", {"sweeps": 0}),
     ("Without pressure", "soft", {"material.youngs_modulus": 1.0}),
-    ("Without correction", "grid", {"transport.correction": 0.0}),
-    ("Without the grid", "straight", {"transport.correction": 1000.0}),
-    ("Without rest", "restless", {"transport.rest": 0.0}),
+    ("Without correction", "grid", {"correction": 0.0}),
+    ("Without the grid", "straight", {"correction": 1000.0}),
+    ("Without rest", "restless", {"rest": 0.0}),
 )
 """Ingredients of `transport`, each left out once: label, variant, overrides."""
 

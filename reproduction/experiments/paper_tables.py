@@ -13,11 +13,11 @@ from chamfer_morph.reproduction.runs.run import Run
 SEEDS = (42, 43, 44)
 """Of repeated runs; the first is that of all others."""
 
-CONVERGED: dict[str, Any] = {"points.epsilon": 1e-8}
+CONVERGED: dict[str, Any] = {"descent.epsilon": 1e-8}
 CONVERGED_FRAMES = 120
 """3600 steps: with epsilon 1e-4 and 1200, as has_table, a quarter of the way is left (8.2)."""
 
-INVERSE: dict[str, Any] = {"density.weighting": "inverse"}
+INVERSE: dict[str, Any] = {"weighting": "inverse"}
 
 # algorithm 11.2, last line
 NATIVE: dict[str, Any] = {
@@ -30,7 +30,7 @@ NATIVE: dict[str, Any] = {
 }
 
 # algorithm 7.4: physics-only with the smoothing of the Chamfer runs
-OVERRIDE: dict[str, Any] = {"smoothing.late_frame_physics": 15}
+OVERRIDE: dict[str, Any] = {"smoothing.late_frame": 15}
 
 # variants of the published program (algorithm 7.3, 11 row 17)
 CHAIN: dict[str, Any] = {"grid_loss.weight_mode": "chain"}
@@ -99,7 +99,7 @@ def _row(label: str, *runs: Run, group: str = "", remark: str = "") -> Row:
 
 
 def _regularised(variant: str, *weights: float) -> Run:
-    names = ("regularisers.repulsion", "regularisers.smoothness", "regularisers.volume")
+    names = ("regularizers.repulsion", "regularizers.smoothness", "regularizers.volume")
     overrides = dict(zip(names, weights, strict=True))
     return shape_run("Sphere", "Bunny", "dco", edge=4, variant=variant, overrides=overrides)
 

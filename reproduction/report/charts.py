@@ -133,7 +133,7 @@ def _dashes(record: Record) -> str | tuple[int, tuple[float, ...]]:
     run = record.run
     if run.points_per_cell_edge != 3:
         return "--"
-    if run.overrides.get("points.epsilon") is not None:
+    if run.overrides.get("descent.epsilon") is not None:
         return (0, (1, 1)) if run.frames > 40 else "-."
     return "-" if not run.overrides else (0, (4, 1, 1, 1))
 

@@ -160,7 +160,7 @@ def _sources(records: Iterable[Record]) -> tuple[Provenance, ...]:
         Provenance(
             run=record.run.id,
             digest=record.digest[:12],
-            config=f"{record.config.get('preset', record.run.preset)}, seed {record.run.seed}",
+            config=f"{(record.config or record.run).preset}, seed {record.run.seed}",
             size=f"{record.particle_count} → {record.target_count}, {record.frames} frames"
             if record.is_complete
             else "failed",

@@ -16,14 +16,6 @@ CONTROLLED_METHODS = ("physics", "joint")
 """Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`
 needs none, and for methods that move points alone every preset has the same settings."""
 
-_OF_POINTS = ("points", "regularisers", "density", "basis")
-_OF_CONTROL = ("smoothing", "adjoint", "grid_loss", "chamfer")
-_OF_MATTER = ("material", "time")
-"""Sections of the configuration that only methods of that kind read."""
-
-_OF_ONE = {"transport": "transport", "swd": "sliced", "sinkhorn": "entropy"}
-"""Sections that a single method reads."""
-
 CPU_SECONDS_AT_START = 10.0
 CPU_SECONDS_PER_PARTICLE_FRAME = {
     "joint": 120e-6,
@@ -82,26 +74,16 @@ class Run(BaseModel, frozen=True, extra="forbid"):
     def digest(self, meshes: MeshFolder) -> str:
         """SHA-256 of everything that determines the result: configuration and both shapes.
 
-        Sections that the method does not read are left out, and so is the preset's name.
+        The preset's name is left out.
 
         Raises:
             MorphError: A mesh is missing, or as `config`.
         """
         inputs = {
-            "config": self.config().model_dump(mode="json", exclude={"preset", *self._unread}),
+            "config": self.config().model_dump(mode="json", exclude={"preset"}),
             "shapes": [meshes.digest(name) for name in self.shapes],
         }
-        return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
-
-    @property
-    def _unread(self) -> tuple[str, ...]:
-        """Sections of the configuration that the method does not read."""
-        of_others = tuple(section for name, section in _OF_ONE.items() if name != self.method)
-        if self.method == "transport":
-            return (*of_others, *_OF_POINTS, *_OF_CONTROL)
-        if self.method in CONTROLLED_METHODS:
-            return (*of_others, *_OF_POINTS)
-        return (*of_others, *_OF_MATTER, *_OF_CONTROL)
+        return digest(inputs)
 
     def quick(self) -> Run:
         """The same with the preset `fast`, where that changes anything."""
@@ -113,9 +95,14 @@ class Run(BaseModel, frozen=True, extra="forbid"):
     def expected_cpu_seconds(self) -> float:
         """What the run costs about [CPU s], by a model linear in particles and frames."""
         particles = particle_count(self.source) * self.points_per_cell_edge**3 / 27
-        is_regularised = any(path.startswith("regularisers.") for path in self.overrides)
+        is_regularised = any(path.startswith("regularizers.") for path in self.overrides)
         rate = CPU_SECONDS_PER_PARTICLE_FRAME.get(
             "regularised" if is_regularised else self.method, CPU_SECONDS_PER_POINT_FRAME
         )
         share = QUICK_SHARE if self.preset == "fast" and self.method in CONTROLLED_METHODS else 1.0
         return CPU_SECONDS_AT_START + share * rate * particles * self.frames
+
+
+def digest(inputs: Any) -> str:
+    """SHA-256 of JSON data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import psutil
 from chamfer_morph.reproduction.meshes import MeshFolder
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.store import Record, Store
+from chamfer_morph.reproduction.runs.version_0_1 import find_old_record
 from morph_engine.child_process import python_command
 from morph_engine.results.spool import finished_frames
 
@@ -66,11 +67,16 @@ def default_jobs() -> int:
     return max(1, min(os.cpu_count() or 1, memory))
 
 
-def known_records(
-    runs: Sequence[Run], store: Store, digests: Mapping[str, str]
-) -> dict[str, Record]:
-    """Records of the runs that need not be computed again, by id."""
-    found = {run.id: store.find(run, digests[run.id]) for run in runs}
+def known_records(runs: Sequence[Run], store: Store, meshes: MeshFolder) -> dict[str, Record]:
+    """Records of the runs that need not be computed again, by id.
+
+    Raises:
+        MorphError: A mesh is missing or a setting unknown.
+    """
+    found = {
+        run.id: store.find(run, run.digest(meshes)) or find_old_record(run, store, meshes)
+        for run in runs
+    }
     return {run_id: record for run_id, record in found.items() if record is not None}
 
 
@@ -98,7 +104,7 @@ def execute(
         MorphError: A mesh is missing or a setting unknown; nothing has been computed then.
     """
     digests = {run.id: run.digest(meshes) for run in runs}
-    known = known_records(runs, store, digests)
+    known = known_records(runs, store, meshes)
     missing = [run for run in runs if run.id not in known]
     waiting = sorted(missing, key=lambda run: run.expected_cpu_seconds)  # taken from the end
     threads = max(1, (os.cpu_count() or 1) // jobs)

@@ -10,13 +10,13 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from chamfer_morph.reproduction.runs.run import Run
-from morph_engine.config import MorphConfig
+from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 from morph_engine.geometry.mesh import Mesh
@@ -38,6 +38,10 @@ EXTREMES: dict[str, Callable[[Iterable[float]], float]] = {
 CURVE_DIGITS = 6
 
 
+def _stored_config(document: Any) -> MorphConfig | None:
+    return stored_config(document) if document else None
+
+
 class Record(BaseModel, frozen=True, ser_json_inf_nan="constants"):
     """What a run has come to.
 
@@ -48,7 +52,9 @@ class Record(BaseModel, frozen=True, ser_json_inf_nan="constants"):
     digest: str = Field(description="Of configuration and meshes, see `Run.digest`.")
     status: Literal["complete", "failed"]
     problem: str = Field("", description="Why it failed.")
-    config: dict[str, Any] = Field(default_factory=dict, description="Resolved configuration.")
+    config: Annotated[MorphConfig | None, BeforeValidator(_stored_config)] = Field(
+        None, description="Resolved configuration; none if the run failed."
+    )
     meshes: dict[str, str] = Field(default_factory=dict, description="SHA-256 by role.")
     software: dict[str, str] = Field(default_factory=software_versions)
     particle_count: int = 0
@@ -151,7 +157,7 @@ def _surface(result: Trajectory) -> dict[str, float]:
         return {}
     to_grid = np.linalg.inv(result.transform)
     vertices = target.vertices @ to_grid[:3, :3].T + to_grid[:3, 3]
-    spacing = MorphConfig.model_validate(result.config).spacing
+    spacing = result.config.spacing
     found = reconstruct_surface(result.positions(-1), spacing)
     return {"surface_mean": surface_deviation(found, replace(target, vertices=vertices))["mean"]}
 

@@ -64,6 +64,6 @@ def get_config_schema(caller: Reader) -> dict[str, Any]:
 @cache
 def _methods() -> tuple[Resource, ...]:
     return tuple(
-        Resource(name=name, description=methods.describe(name), config=None)
+        Resource(name=name, description=methods.options_of(name).summary(), config=None)
         for name in methods.names()
     )

@@ -80,7 +80,7 @@ def _points(
 ) -> Response:
     run = find_run_record(job, context)
     positions = run.source_points if role == "source" else run.target_points
-    extent = float(job.spec.config["grid"]["half_extent"])
+    extent = job.spec.config.grid.half_extent
     return array_encoding.array_response(request, positions, format, extent)
 
 

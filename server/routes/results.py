@@ -75,7 +75,7 @@ def get_frame(
     little-endian uint16 likewise; position = Morph-Offset + Morph-Scale x value. `ply`: a binary
     PLY point cloud. `npy`: a NumPy array of shape [n, 3].
     """  # noqa: D205
-    extent = float(job.spec.config["grid"]["half_extent"])
+    extent = job.spec.config.grid.half_extent
     headers = {"Morph-Frame": str(frame.index)}
     return array_encoding.array_response(request, frame.positions, format, extent, headers)
 
@@ -101,7 +101,7 @@ def get_metrics(
 @router.get("/config", operation_id="getConfig", summary="The resolved configuration")
 def get_config(job: VisibleJob) -> dict[str, Any]:
     """Every setting that the job runs with."""
-    return job.spec.config
+    return job.spec.config.model_dump(mode="json")
 
 
 @router.get(

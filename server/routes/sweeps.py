@@ -153,8 +153,8 @@ def _row(record: JobRecord, context: ServerContext) -> SweepRow:
         job=record.id,
         source=str(record.attributes.get("source_name", "")),
         target=str(record.attributes.get("target_name", "")),
-        method=record.spec.config["method"],
-        seed=record.spec.config["seed"],
+        method=record.spec.config.method.name,
+        seed=record.spec.config.seed,
         state=record.state,
         metrics=metrics,
     )

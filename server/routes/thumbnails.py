@@ -14,7 +14,6 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.job_lookup import VisibleJob, find_frame
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
-from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 
@@ -47,7 +46,7 @@ def _draw(path: Path, job: JobRecord, context: ServerContext) -> bytes:
     from morph_engine.rendering.pictures import thumbnail
 
     frame = find_frame(-1, job, context)
-    spacing = MorphConfig.model_validate(job.spec.config).spacing
+    spacing = job.spec.config.spacing
     picture: bytes = thumbnail(frame.positions, spacing)
     with suppress(OSError, ResultError):  # the disk is full, or the job has been deleted
         context.storage.make_derived_dirs(job.id)

@@ -78,7 +78,7 @@ class Cluster:
         spec = JobSpec(
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),
-            config=config.model_dump(mode="json"),
+            config=config,
             device="cpu",
             timeout_seconds=timeout,
         )

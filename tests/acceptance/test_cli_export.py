@@ -29,7 +29,7 @@ SOURCE = GENERATOR.uniform(-2, 2, (600, 3)).astype(np.float32)
 def rising_box(path, frames):
     """The result of a box of particles that rises."""
     config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": frames})
-    record = RunRecord(config.model_dump(mode="json"), SOURCE, SOURCE, SOURCE, SOURCE)
+    record = RunRecord(config, SOURCE, SOURCE, SOURCE, SOURCE)
     with Spool.create(path, record) as spool:
         for frame in range(frames):
             spool.append(frame, SOURCE + np.float32([0, frame, 0]), {"s2t": float(frame)})

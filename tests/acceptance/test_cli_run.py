@@ -157,7 +157,10 @@ def test_ctrl_c_before_the_first_frame_has_no_traceback(tmp_path):
         (["--preset", "fsat"], ["fsat", "fast"]),
         (["--method", "joit"], ["joit", "joint"]),
         (["--set", "chamfer.weigt=5"], ["chamfer.weight"]),
-        (["--set", "chamfer.weight=-1"], ["chamfer.weight", "greater than or equal to 0"]),
+        (
+            ["--method", "joint", "--set", "chamfer.weight=-1"],
+            ["chamfer.weight", "greater than or equal to 0"],
+        ),
         (["--set", "chamfer.weight"], ["--set"]),
         (["--set", "time.dt=0.1"], ["time.dt", "stable limit"]),
         (["--frames", "0"], ["frames"]),

@@ -18,6 +18,7 @@ from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
+from morph_engine.config.sections import GridConfig
 
 pytestmark = [
     pytest.mark.faults,
@@ -152,7 +153,7 @@ def test_input_error_is_not_tried_again(cluster):
     job = cluster.submit()
     spec = cluster.job(job).spec
     cluster.queue.cancel(job)
-    config = {**spec.config, "grid": {**spec.config["grid"], "half_extent": 4.0}}
+    config = spec.config.model_copy(update={"grid": GridConfig(half_extent=4.0)})
     refused = spec.model_copy(update={"config": config})
     cluster.queue.enqueue(refused, job_id="refused", owner="")
     record = cluster.wait_for_state("refused", JobState.FAILED)

@@ -13,8 +13,8 @@ from morph_engine.losses.grid_mass import GridMass
 from morph_engine.methods import Problem
 from morph_engine.methods.physics import Physics
 from morph_engine.morphing import prepare
-from morph_engine.mpm.simulation_setup import cell_order
-from morph_engine.optimization.schedule import frame_weights
+from morph_engine.mpm.grid import cell_order
+from morph_engine.optimization import physics_weights
 from morph_engine.presets import configure
 
 
@@ -34,9 +34,7 @@ def test_rest_volumes(start: Physics) -> None:
     """Mean, extremes and total of the density estimate (algorithm 1.3), to its printed digits."""
     mass = 75 / 27
     device = backend.active()
-    volumes = GridMass(37644, mass, start._geometry).rest_volumes(
-        device.upload(start.problem.source)
-    )
+    volumes = GridMass(37644, mass, start._grid).rest_volumes(device.upload(start.problem.source))
     assert volumes.mean() == pytest.approx(0.045472, abs=1e-6)
     assert volumes.min() == pytest.approx(0.0369, abs=1e-4)
     assert volumes.max() == pytest.approx(0.10414, abs=1e-5)
@@ -49,10 +47,10 @@ def test_first_control_steps(start: Physics) -> None:
     The reference values carry five to six digits; float32 and the order of sums change the sixth.
     """
     simulation, control = start._simulation, start._control
-    order = cell_order(start._particles.x, start._geometry)
+    order = cell_order(start._particles.x, start._grid)
     simulation.volume.from_numpy(start._rest_volume[order])
     simulation.layers[0].upload(start._particles.permuted(order))
-    weights = frame_weights(start.problem.config, 0, with_chamfer=False)
+    weights = physics_weights(start.options.smoothing, 0)
     simulation.smoothing = weights.smoothing
     control._weights = weights
     control._reset()

@@ -1,5 +1,6 @@
 """Memory and disk are asked for before a run starts, not found missing in the middle of it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -19,7 +20,7 @@ def record():
 
 def test_a_run_that_fits_is_let_through(record, tmp_path):
     """No complaint where there is memory and disk."""
-    morphing.check_resources(record, CONFIG, tmp_path / "result.vtkhdf")
+    morphing.check_resources(record, tmp_path / "result.vtkhdf")
 
 
 def test_too_little_memory_is_refused_before_the_run(record, monkeypatch, tmp_path):
@@ -37,9 +38,10 @@ def test_the_frames_of_a_long_run_count(record, monkeypatch):
     """The result is assembled in memory: 16 bytes a particle and frame."""
     free = 16 * record.particle_count * 100_000
     monkeypatch.setattr(morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
-    morphing.check_resources(record, CONFIG)
+    morphing.check_resources(record)
     with pytest.raises(ResourceError, match="MB of memory"):
-        morphing.check_resources(record, CONFIG.model_copy(update={"frames": 100_000}))
+        long = CONFIG.model_copy(update={"frames": 100_000})
+        morphing.check_resources(replace(record, config=long))
 
 
 def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path):

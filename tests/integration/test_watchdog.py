@@ -22,15 +22,16 @@ def block(center: float, count: int = 10) -> np.ndarray:
     return (grid + np.array([center, 0, 0])).astype(np.float32)
 
 
-def problem(**overrides: object) -> Problem:
+def problem(method: str, **overrides: object) -> Problem:
     """A cube that is to move aside."""
-    values = {"sampling.points_per_cell_edge": 2, **overrides}
+    values = {"method": method, "sampling.points_per_cell_edge": 2, **overrides}
     return Problem(block(0.0), block(1.0), configure("fast", values))
 
 
 def test_oversized_trials_are_rejected_and_halved() -> None:
     """Wild steps are refused with their cause on record, and the frame stays sound."""
-    method = Physics(problem(**{"optimizer.step": 40.0, "watchdog.cells_per_step": 0.05}))
+    wild = {"optimizer.step": 40.0, "watchdog.cells_per_step": 0.05}
+    method = Physics(problem("physics", **wild))
     outcome = method.advance(0)
     assert any(event.kind == "rejected" and event.data["count"] > 0 for event in outcome.events)
     assert np.isfinite(outcome.positions).all()
@@ -39,7 +40,7 @@ def test_oversized_trials_are_rejected_and_halved() -> None:
 
 def test_a_frame_that_cannot_start_is_restarted_with_a_smaller_time_step() -> None:
     """A carried speed beyond the limit fails even without control; half the step passes."""
-    method = Joint(problem())
+    method = Joint(problem("joint"))
     state = method.state()
     state["v"][:] = [80.0, 0, 0]  # 0.67 cells per step at the full time step, the limit is 0.5
     method.restore(state)
@@ -52,7 +53,7 @@ def test_a_frame_that_cannot_start_is_restarted_with_a_smaller_time_step() -> No
 
 def test_a_hopeless_frame_ends_the_run_and_keeps_the_state() -> None:
     """After all restarts the error names the cause, and the last good state stands."""
-    method = Physics(problem(**{"watchdog.restarts": 2}))
+    method = Physics(problem("physics", **{"watchdog.restarts": 2}))
     state = method.state()
     state["v"][:] = [1e4, 0, 0]
     method.restore(state)

@@ -37,7 +37,7 @@ def small_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": FRAMES})
     egg = source * np.float32([1, 1.3, 1])
     record = RunRecord(
-        config=config.model_dump(mode="json"),
+        config=config,
         source=source,
         target=egg,
         source_points=source,

@@ -17,6 +17,7 @@ from morph_engine.geometry.mesh import Mesh, make_mesh
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.metrics.definitions import METRICS
 from morph_engine.metrics.volume import outside_metrics
+from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory, write_result
@@ -146,7 +147,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     start, end = sample_lattice(box(5, 4, 4), spacing=0.4), sample_lattice(CUBE, spacing=0.4)
     start = start[: len(end)]
     run = RunRecord(
-        config={"grid": {"dx": 1.2}, "sampling": {"points_per_cell_edge": 3}},
+        config=configure("fast", {"grid.dx": 1.2, "grid.half_extent": 18}),
         source=box(10, 8, 8),
         target=replace(CUBE, vertices=CUBE.vertices * SCALE + 1),
         source_points=start,
@@ -177,11 +178,7 @@ def test_escaped_is_what_has_left_the_domain_of_the_run(tmp_path: Path) -> None:
     points = np.zeros((600, 3), np.float32)
     points[:3, 0] = 15.5, 20.5, 22.5
     run = RunRecord(
-        config={
-            "grid": {"dx": 1.0, "half_extent": 24.0},
-            "sampling": {"points_per_cell_edge": 3},
-            "watchdog": {"domain_margin": 2.0},
-        },
+        config=configure("fast", {"grid.half_extent": 24.0, "grid.margin": 2.0}),
         source=points, target=points, source_points=points, target_points=points,
         transform=np.eye(4),
     )  # fmt: skip

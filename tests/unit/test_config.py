@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from morph_engine import presets
-from morph_engine.config import MorphConfig, field_paths
+from morph_engine import methods, presets
+from morph_engine.config import MorphConfig, setting_fields
 from morph_engine.errors import ConfigError
-from morph_engine.optimization.schedule import frame_weights
+from morph_engine.optimization import joint_weights, physics_weights
 from morph_engine.presets import configure
 
 
@@ -21,11 +21,15 @@ def test_presets_survive_storage(name: str) -> None:
 
 def test_overrides_reach_their_field() -> None:
     """Dotted paths, typed as on a command line."""
-    config = configure("fast", {"chamfer.weight": "5", "smoothing.late_frame": "none"})
-    assert config.chamfer.weight == 5
-    assert config.smoothing.late_frame is None
-    config = configure("fast", {"smoothing.values": ".9", "smoothing.first_frames": "0,"})
-    assert config.smoothing.values == (0.9,)
+    joint = {"method": "joint"}
+    options = configure(
+        "fast", joint | {"chamfer.weight": "5", "method.smoothing.late_frame": "none", "seed": "3"}
+    )
+    assert options.seed == 3
+    assert options.method.chamfer.weight == 5
+    assert options.method.smoothing.late_frame is None
+    one = configure("fast", joint | {"smoothing.values": ".9", "smoothing.first_frames": "0,"})
+    assert one.method.smoothing.values == (0.9,)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +43,13 @@ def test_overrides_reach_their_field() -> None:
         ({"time.dt": 0.03}, "stable limit 0.02196"),
         ({"grid.dx": 0.7}, "whole cells"),
         ({"grid.half_extent": 150}, "4 to 250"),
-        ({"smoothing.values": "0.9,0.9"}, "one entry per value"),
+        ({"method": "joint", "smoothing.values": "0.9,0.9"}, "one entry per value"),
+        ({"chamfer.weight": 3}, "It belongs to joint"),
+        ({"method": "dco", "material.drag": 1}, "belongs to transport, joint, physics"),
+        ({"method": "joint", "transport.sweeps": 1}, "belongs to transport"),
+        ({"method": "dco", "basis.learning_rate": 1}, "belongs to shared_basis"),
+        ({"method": "jont"}, "Did you mean 'joint'"),
+        ({"method.name": "joint"}, "Name it with `method`"),
     ],
 )
 def test_bad_values_name_the_remedy(overrides: dict[str, object], words: str) -> None:
@@ -59,18 +69,41 @@ def test_every_setting_is_described() -> None:
     plain = {"material.model", "precision", "frames", "time.dt", "stopping.earliest_frame"}
     plain |= {f"optimizer.{name}" for name in ("beta1", "beta2", "line_search_trials")}
     plain |= {"optimizer.line_search_factor"}
-    missing = {path for path, field in field_paths().items() if not field.description}
-    assert missing <= plain
+    for method in methods.names():
+        fields = setting_fields(method)
+        assert {path for path, field in fields.items() if not field.description} <= plain
+
+
+@pytest.mark.parametrize("method", methods.names())
+@pytest.mark.parametrize("preset", presets.names())
+def test_every_method_has_every_preset(method: str, preset: str) -> None:
+    """What a method says of a preset is valid, and comes back from JSON with its own type."""
+    config = configure(preset, {"method": method})
+    again = MorphConfig.model_validate_json(config.model_dump_json())
+    assert again == config and type(again.method) is methods.options_of(method)
+
+
+def test_the_schema_tells_methods_apart() -> None:
+    """The JSON schema has one entry a method, with its sentence, told apart by name."""
+    schema = MorphConfig.model_json_schema()
+    method = schema["properties"]["method"]
+    assert method["discriminator"]["mapping"].keys() == set(methods.names())
+    assert len(method["oneOf"]) == len(methods.names())
+    sinkhorn = schema["$defs"]["SinkhornOptions"]
+    assert sinkhorn["description"] == methods.options_of("sinkhorn").summary()
+    assert sinkhorn["properties"]["rounds"]["minimum"] == 1
 
 
 def test_published_schedule() -> None:
     """The weights of algorithm 7 at its corners."""
-    config = configure("published")
-    at = {f: frame_weights(config, f, with_chamfer=True) for f in (0, 5, 6, 14, 15, 17, 20, 39)}
+    joint = configure("published").method
+    sections = joint.smoothing, joint.grid_loss, joint.chamfer
+    at = {frame: joint_weights(*sections, frame) for frame in (0, 5, 6, 14, 15, 17, 20, 39)}
     assert [at[f].chamfer for f in (0, 5, 6, 15, 39)] == [0, 0, 1, 10, 10]
     assert [round(at[f].physics, 9) for f in (0, 15, 17, 20, 39)] == [1, 1, 0.8, 0.5, 0.5]
     assert [at[f].smoothing for f in (0, 14, 15, 39)] == [0.88, 0.9, 0.7, 0.7]
     assert at[17].reverse == pytest.approx(0.8)
-    physics = [frame_weights(config, f, with_chamfer=False) for f in (0, 10, 30, 39)]
+    smoothing = configure("published", {"method": "physics"}).method.smoothing
+    physics = [physics_weights(smoothing, frame) for frame in (0, 10, 30, 39)]
     assert [w.smoothing for w in physics] == [0.88, 0.9, 0.92, 0.92]
     assert all(w.chamfer == 0 and w.physics == 1 for w in physics)

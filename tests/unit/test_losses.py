@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config import ChamferConfig
+from morph_engine.config.sections import ChamferConfig
 from morph_engine.losses.cell_search import search_cells
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.gaussian_smoothing import GaussianSmoothing

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from morph_engine import Trajectory, backend, methods, morph, presets
-from morph_engine.config import MorphConfig, RegulariserConfig
+from morph_engine.config import MorphConfig
+from morph_engine.config.sections import RegularizerConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.losses.density_aware_chamfer import DensityAwareChamfer
@@ -25,9 +27,9 @@ from morph_engine.presets import configure
 
 POINT_METHODS = ("dco", "dcd", "density_aware", "shared_basis")
 REGULARISED = {
-    "regularisers.repulsion": 0.05,
-    "regularisers.smoothness": 0.01,
-    "regularisers.volume": 0.1,
+    "regularizers.repulsion": 0.05,
+    "regularizers.smoothness": 0.01,
+    "regularizers.volume": 0.1,
 }
 Points = NDArray[np.float64]
 
@@ -90,13 +92,13 @@ def test_regulariser_gradients_match_differences(weights: dict[str, float]) -> N
     x[:40] = x[40:80] + np.random.default_rng(3).normal(size=(40, 3)) * 0.02  # pairs that repel
     device = backend.active()
     source = np.random.default_rng(1).uniform(-1, 1, (300, 3))
-    regularisers = Regularizers(source, RegulariserConfig(**weights))
-    regularisers.rebuild(device.upload(x))
+    regularizers = Regularizers(source, RegularizerConfig(**weights))
+    regularizers.rebuild(device.upload(x))
     gradient = device.vectors(300)
-    regularisers.add_gradient(device.upload(x), gradient)
+    regularizers.add_gradient(device.upload(x), gradient)
     direction = np.random.default_rng(6).normal(size=x.shape)
     step = 1e-7
-    values = [regularisers.value(device.upload(x + s * step * direction)) for s in (1, -1)]
+    values = [regularizers.value(device.upload(x + s * step * direction)) for s in (1, -1)]
     difference = (values[0] - values[1]) / (2 * step)
     assert np.sum(gradient.to_numpy() * direction) == pytest.approx(difference, rel=1e-5)
 
@@ -117,10 +119,10 @@ def test_regularisers_are_those_of_the_formulas() -> None:
     }
     for name, expected in terms.items():
         source = np.concatenate((x[:200], x[:100]))
-        regularisers = Regularizers(source, RegulariserConfig(**{name: 1.0}))
-        regularisers.rebuild(at)
-        assert regularisers.value(at) == pytest.approx(expected, rel=1e-12)
-    assert Regularizers(x, RegulariserConfig()).value(at) == 0
+        regularizers = Regularizers(source, RegularizerConfig(**{name: 1.0}))
+        regularizers.rebuild(at)
+        assert regularizers.value(at) == pytest.approx(expected, rel=1e-12)
+    assert Regularizers(x, RegularizerConfig()).value(at) == 0
 
 
 @pytest.mark.usefixtures("float64_device")
@@ -225,7 +227,9 @@ def test_far_points_approach_exponentially() -> None:
     """
     source = np.random.default_rng(1).uniform(-0.1, 0.1, (1000, 3)).astype(np.float32)
     target = np.array([[5.0, 0, 0]], np.float32)
-    config = configure("published", {"points.learning_rate": 1.0, "points.epsilon": 1.0})
+    config = configure(
+        "published", {"method": "dco", "descent.learning_rate": 1.0, "descent.epsilon": 1.0}
+    )
     method = methods.find("dco")(Problem(source, target, config))
     start = np.linalg.norm(source - target, axis=1)
     residual = [np.median(method.advance(frame).d_fwd / start) for frame in range(20)]
@@ -257,7 +261,7 @@ def test_k_nearest_neighbors_of_coinciding_points() -> None:
 def test_repulsion_needs_listed_neighbours() -> None:
     """More repelling neighbours than listed ones are refused."""
     with pytest.raises(ConfigError, match="at most neighbors"):
-        configure("fast", {"regularisers.neighbors": 5})
+        configure("fast", {"method": "dco", "regularizers.neighbors": 5})
 
 
 def small_problem(name: str, **overrides: object) -> Problem:
@@ -265,12 +269,12 @@ def small_problem(name: str, **overrides: object) -> Problem:
     axis = np.linspace(-2, 2, 9)
     cube = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     ball = cube[np.linalg.norm(cube, axis=1) < 2.1] * 1.2 + [0.7, 0, 0]
-    values = {"method": name, "points.steps_per_frame": 4, "density.refresh_frames": 2, **overrides}
-    values |= {"basis.cells": 4}
+    values = {"method": name, "descent.steps_per_frame": 4, **overrides}
+    values |= {"dcd": {"refresh_frames": 2}, "shared_basis": {"cells": 4}}.get(name, {})
     return Problem(cube.astype(np.float32), ball.astype(np.float32), configure("published", values))
 
 
-def make(name: str, **overrides: object) -> Method:
+def make(name: str, **overrides: object) -> Method[Any]:
     """A method before its first frame."""
     return methods.find(name)(small_problem(name, **overrides))
 
@@ -301,7 +305,7 @@ def test_a_restored_method_goes_on_bit_for_bit(name: str, overrides: dict[str, f
 @pytest.mark.parametrize("name", POINT_METHODS)
 def test_what_goes_beyond_all_numbers_is_an_error(name: str) -> None:
     """The error names a remedy, and the last good state stands."""
-    method = make(name, **{"points.learning_rate": 1e30, "basis.learning_rate": 1e30})
+    method = make(name, **{"descent.learning_rate": 1e30})
     before = method.state()["x"]
     with pytest.raises(SimulationError, match="non-finite") as caught:
         method.advance(0)
@@ -313,7 +317,7 @@ def test_what_goes_beyond_all_numbers_is_an_error(name: str) -> None:
 @pytest.mark.parametrize("name", POINT_METHODS)
 def test_methods_descend_their_loss(name: str) -> None:
     """With a small epsilon every method lowers what it minimises by a third in ten frames."""
-    method = make(name, **{"points.epsilon": 1e-8, "points.steps_per_frame": 10})
+    method = make(name, **{"descent.epsilon": 1e-8, "descent.steps_per_frame": 10})
     losses = [method.advance(frame).numbers["loss_points"] for frame in range(10)]
     assert losses[-1] < 2 / 3 * losses[0]
 
@@ -327,7 +331,7 @@ def test_positions_do_not_depend_on_threads() -> None:
 
 def tiny(preset: str, method: str, **overrides: object) -> MorphConfig:
     """Two short frames at two points per cell edge."""
-    values = {"sampling.points_per_cell_edge": 2, "frames": 2, "points.steps_per_frame": 3}
+    values = {"sampling.points_per_cell_edge": 2, "frames": 2, "descent.steps_per_frame": 3}
     return configure(preset, {**values, "method": method, **overrides})
 
 

@@ -44,7 +44,7 @@ def test_every_run_has_a_valid_configuration(quick):
     """Methods, presets and settings exist, and quick runs are of their own."""
     for run in runs_of(select(["all", "trial", *EXTENSIONS], quick=quick)):
         config = run.config()
-        assert config.method == run.method in methods.names()
+        assert config.method.name == run.method in methods.names()
         assert config.sampling.fit == "none" and config.sampling.lattice == "published"
         assert {run.source, run.target} <= {*ASSETS, "sphere", "star"}
 
@@ -80,9 +80,10 @@ def test_the_native_settings_are_those_of_the_published_file():
     run = next(run for run in ALL_RUNS if run.id == "sphere-dragon-joint-native-n4")
     config = run.config()
     assert run.overrides == NATIVE and run.points_per_cell_edge == 4
-    assert (config.chamfer.huber_delta, config.chamfer.reverse_clamp) == (0, 0)
-    assert (config.chamfer.reverse_weight, config.chamfer.reverse_coupled) == (1, False)
-    assert (config.chamfer.reverse_smoothing, config.grid_loss.final_weight) == (0, 0.1)
+    options = config.method
+    assert (options.chamfer.huber_delta, options.chamfer.reverse_clamp) == (0, 0)
+    assert (options.chamfer.reverse_weight, options.chamfer.reverse_coupled) == (1, False)
+    assert (options.chamfer.reverse_smoothing, options.grid_loss.final_weight) == (0, 0.1)
 
 
 def test_all_is_affordable():

@@ -10,6 +10,7 @@ import pytest
 
 from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool, spool_path
 
@@ -21,7 +22,7 @@ def record(**changes) -> RunRecord:
     points = np.arange(3 * N, dtype=np.float32).reshape(N, 3)
     mesh = Mesh(np.eye(4)[:, :3], np.array([[0, 1, 2], [0, 3, 1]], np.int32), "wedge", "ab12")
     values = {
-        "config": {"physics": {"frames": 40, "dt": 1 / 120}, "seed": 3},
+        "config": configure("published", {"seed": 3}),
         "source": mesh,
         "target": points + 0.5,
         "source_points": points,
@@ -129,10 +130,11 @@ def test_kill_leaves_a_spool_to_resume(tmp_path):
     """A process killed while it writes frees its lock and leaves whole frames and a checkpoint."""
     script = (
         "import numpy, sys\n"
+        "from morph_engine.config import MorphConfig\n"
         "from morph_engine.results.run_record import RunRecord\n"
         "from morph_engine.results.spool import Spool\n"
         "p = numpy.ones((2000, 3), numpy.float32)\n"
-        "spool = Spool.create(sys.argv[1], RunRecord({}, p, p, p, p), replace=True)\n"
+        "spool = Spool.create(sys.argv[1], RunRecord(MorphConfig(), p, p, p, p), replace=True)\n"
         "for frame in range(10**6):\n"
         "    spool.append(frame, p * frame, {'s2t': frame})\n"
         "    spool.save_checkpoint(frame, {'x': p * frame}, {})\n"
@@ -182,7 +184,7 @@ def test_unfinished_run_is_not_overwritten(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"config": {"physics": {"frames": 41, "dt": 1 / 120}, "seed": 3}}, "frames"),
+        ({"config": configure("published", {"frames": 41, "seed": 3})}, "config.frames"),
         ({"target": positions(1)}, "target.sha256"),
         ({"transform": np.diag([2.0, 2.0, 2.0, 1.0])}, "transform"),
         ({"software": {"taichi": "0"}}, "software"),

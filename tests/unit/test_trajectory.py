@@ -7,6 +7,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
+from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.results.run_record import RunRecord
@@ -25,7 +26,7 @@ EVENTS = [{"frame": 1, "kind": "halved", "message": "CFL η > 1", "data": {"step
 MESH = Mesh(np.eye(4)[:, :3], np.array([[0, 1, 2], [0, 3, 1]], np.int32), "wedge", "ab12")
 TRANSFORM = np.array([[2.0, 0, 0, 5], [0, 2, 0, 6], [0, 0, 2, 7], [0, 0, 0, 1]])
 RUN = RunRecord(
-    config={"physics": {"dt": 1 / 120}, "long": "x" * 100_000},
+    config=MorphConfig(preset="x" * 100_000),
     source=MESH,
     target=CLOUD,
     source_points=POSITIONS[0],

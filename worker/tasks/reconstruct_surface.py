@@ -8,7 +8,6 @@ from typing import Any
 from chamfer_morph.worker.frame_reader import mesh_in_grid_units, read_frame, read_run_record
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 from chamfer_morph.worker.storage import writing
-from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import wait_for
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_deviation
@@ -32,9 +31,7 @@ def run(result: Path, index: int, path: Path) -> None:
         frame, record = read_frame(result, index), read_run_record(result)
         if frame is None or record is None:
             raise ResultError("The frame has gone meanwhile.", "Ask for it again.")
-        found = reconstruct_surface(
-            frame.positions, MorphConfig.model_validate(record.config).spacing
-        )
+        found = reconstruct_surface(frame.positions, record.config.spacing)
         report: dict[str, Any] = {
             "watertight": found.watertight,
             "bodies": found.bodies,

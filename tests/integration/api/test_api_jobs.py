@@ -37,8 +37,9 @@ def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:
     faults = [
         {"preset": "fats"},
         {"overrides": {"chamfer.wieght": 5}},
-        {"overrides": {"chamfer.weight": -1}},
-        {"overrides": {"chamfer.weight": "inf"}},
+        {"method": "joint", "overrides": {"chamfer.weight": -1}},
+        {"method": "joint", "overrides": {"chamfer.weight": "inf"}},
+        {"method": "dco", "overrides": {"chamfer.weight": 5}},
         {"overrides": {"preset": "x"}},
         {"overrides": {"frames": 4}},
         {"method": "jiont"},
@@ -239,7 +240,7 @@ def test_the_catalog_names_what_there_is(api: Api) -> None:
     assert all(method["description"] for method in api.http.get("/v1/methods").json())
     assert {"sphere", "text:WORD"} <= {s["name"] for s in api.http.get("/v1/shapes").json()}
     schema = api.http.get("/v1/schemas/config").json()
-    assert "chamfer" in schema["properties"]
+    assert "joint" in schema["properties"]["method"]["discriminator"]["mapping"]
     json.dumps(schema)
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.config import MorphConfig
-from morph_engine.optimization.events import Event
+from morph_engine.config import MethodOptions, MorphConfig
+from morph_engine.config.method_options import options_of
+from morph_engine.errors import ConfigError
+
+if TYPE_CHECKING:
+    from morph_engine.backend import Backend
+    from morph_engine.optimization import Event
+
+OptionsT = TypeVar("OptionsT", bound=MethodOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +58,42 @@ class FrameOutcome:
     events: tuple[Event, ...] = ()
 
 
-class Method(ABC):
+class Method(ABC, Generic[OptionsT]):
     """One morph by one method; frames are advanced in order.
 
-    Subclasses document themselves in one sentence, the first line of their docstring.
+    Attributes:
+        Options: Class of the method's options; the subclass that sets it is the method.
+        problem: What is to be morphed into what.
     """
 
-    name: ClassVar[str]
+    Options: ClassVar[type[MethodOptions]]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "Options" in vars(cls):
+            _methods[cls.Options] = cls
 
     def __init__(self, problem: Problem) -> None:
+        options = problem.config.method
+        if type(options) is not self.Options:
+            raise ConfigError(
+                f"These are no options of the method {self.name!r} as it is installed here.",
+                "Install the version of the method that they come from, or start a new run.",
+            )
         self.problem = problem
+        self.options: OptionsT = options  # type: ignore[assignment]
+
+    @property
+    def name(self) -> str:
+        """Name of the method."""
+        return str(self.Options.model_fields["name"].default)
+
+    @property
+    def device(self) -> Backend:
+        """Where the run computes, which makes its arrays."""
+        from morph_engine import backend  # which loads Taichi
+
+        return backend.active()
 
     @abstractmethod
     def advance(self, frame: int) -> FrameOutcome:
@@ -78,7 +111,14 @@ class Method(ABC):
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take up a state that `state` returned."""
 
-    @classmethod
-    def summary(cls) -> str:
-        """One sentence on the method."""
-        return (cls.__doc__ or "").strip().partition("\n")[0]
+
+_methods: dict[type[MethodOptions], type[Method[Any]]] = {}
+
+
+def find(name: str) -> type[Method[Any]]:
+    """The class of a method.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    return _methods[options_of(name)]

@@ -1,0 +1,23 @@
+"""The configuration of a morph: nested, frozen models with units and bounds.
+
+Every number that shapes a result is here, and every result stores the configuration that made it.
+Presets (`morph_engine.presets`) are complete configurations; `configure` picks one and overrides
+fields by path, as in `configure("fast", {"chamfer.weight": 5})`.
+"""
+
+from morph_engine.config.method_options import CostRates, MethodOptions
+from morph_engine.config.morph_config import MorphConfig
+from morph_engine.config.sections import Section
+from morph_engine.config.settings import override, setting_fields, validated
+from morph_engine.config.stored import stored_config
+
+__all__ = [
+    "CostRates",
+    "MethodOptions",
+    "MorphConfig",
+    "Section",
+    "override",
+    "setting_fields",
+    "stored_config",
+    "validated",
+]

@@ -1,0 +1,163 @@
+"""Settings by dotted path: `grid.dx` of all methods, `chamfer.weight` of the chosen one.
+
+A path names a setting that all methods share, or else one of the method's options, which may also
+be written with `method.` before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from morph_engine.config.method_options import names, options_of
+from morph_engine.config.morph_config import MorphConfig
+from morph_engine.config.sections import SharedConfig
+from morph_engine.config.version_0_1 import renamed
+from morph_engine.errors import ConfigError, MorphError, unknown_name
+
+_PREFIX = "method."
+
+
+def setting_fields(method: str) -> dict[str, FieldInfo]:
+    """The dotted path and the field of every setting that a method honours.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    return {
+        **shared_fields(),
+        "method": MorphConfig.model_fields["method"],
+        **option_fields(method),
+    }
+
+
+def shared_fields() -> dict[str, FieldInfo]:
+    """The dotted path and the field of every setting that all methods share."""
+    return _fields(SharedConfig)
+
+
+def option_fields(method: str) -> dict[str, FieldInfo]:
+    """The dotted path and the field of every option of a method.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    fields = _fields(options_of(method))
+    del fields["name"]
+    return fields
+
+
+def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
+    """Replace settings named by dotted path; values may be text, as typed on a command line.
+
+    Paths of version 0.1.0 are understood, too.
+
+    Raises:
+        ConfigError: An unknown path, with the nearest known one, one of another method, or a value
+            out of range.
+    """
+    tree = config.model_dump()
+    for path, value in values.items():
+        *sections, leaf = _resolved(path, config.method.name).split(".")
+        node = tree
+        for section in sections:
+            node = node[section]
+        parsed = _parsed(value)
+        is_series = isinstance(node[leaf], tuple) and not isinstance(parsed, tuple | list)
+        node[leaf] = (parsed,) if is_series else parsed
+    return validated(tree)
+
+
+def validated(tree: Mapping[str, Any]) -> MorphConfig:
+    """A configuration from nested data.
+
+    Raises:
+        ConfigError: The first fault, with the permitted range.
+    """
+    try:
+        return MorphConfig.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join(str(part) for part in first["loc"]).removeprefix(_PREFIX)
+        if first["type"] == "extra_forbidden":
+            method = tree.get("method", {})
+            raise _unknown(path, method["name"] if "name" in method else str(method)) from None
+        message = first["msg"].removeprefix("Value error, ")
+        is_group = isinstance(first["input"], Mapping | BaseModel) or not path
+        given = "" if is_group else f"{path} = {first['input']!r}: "
+        raise ConfigError(
+            f"The configuration is not valid: {given}{message[0].lower()}{message[1:]}.",
+            _remedy(first),
+        ) from None
+
+
+def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Dotted path and field of all that is below a section."""
+    fields: dict[str, FieldInfo] = {}
+    for name, field in section.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            fields |= {f"{name}.{path}": inner for path, inner in _fields(kind).items()}
+        else:
+            fields[name] = field
+    return fields
+
+
+def _resolved(path: str, method: str) -> str:
+    """Where a setting stands in the tree of a configuration with this method.
+
+    Raises:
+        ConfigError: The method has no such setting.
+    """
+    shared, options = shared_fields(), option_fields(method)
+    for candidate in (path, renamed(path, method) or path):
+        if candidate in shared:
+            return candidate
+        short = candidate.removeprefix(_PREFIX)
+        if short in options:
+            return _PREFIX + short
+    raise _unknown(path, method)
+
+
+def _unknown(path: str, method: str) -> MorphError:
+    """Why a method has no setting of this name, and what to do."""
+    short = path.removeprefix(_PREFIX)
+    if path == "method.name":
+        return ConfigError("The method is no option of a method.", "Name it with `method`.")
+    elsewhere = {other: option_fields(other) for other in names() if other != method}
+    owners = [
+        other
+        for other, fields in elsewhere.items()
+        if {short, renamed(short, other)} & fields.keys()
+    ]
+    if owners:
+        return ConfigError(
+            f"The method {method!r} has no setting called {short!r}.",
+            f"It belongs to {', '.join(owners)}: choose such a method, or leave it out.",
+        )
+    own = setting_fields(method)
+    known = [*own, *(path for fields in elsewhere.values() for path in fields)]
+    likely = [each for each in known if each.rsplit(".", 1)[-1] == short] or known
+    return unknown_name("setting", path, likely, list_known=False)
+
+
+def _parsed(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if text.lower() in ("none", "null"):
+        return None
+    if "," in text:
+        return tuple(_parsed(part) for part in text.split(",") if part.strip())
+    return text
+
+
+def _remedy(error: Any) -> str:
+    if "time.dt" in error["msg"]:
+        return "Lower time.dt, or soften the material or coarsen the grid."
+    if "expected" in error.get("ctx", {}):
+        return f"Choose one of {error['ctx']['expected']}."
+    return "See `morph presets fast` for the meaning and range of every setting."

@@ -1,0 +1,10 @@
+from .chamfer import ChamferLoss as ChamferLoss
+from .density_aware_chamfer import DensityAwareChamfer as DensityAwareChamfer
+from .grid_mass import GridMass as GridMass
+from .grid_mass import GridMassLoss as GridMassLoss
+from .matches import Matches as Matches
+from .regularizers import Regularizers as Regularizers
+from .sinkhorn import SinkhornDivergence as SinkhornDivergence
+from .sliced_wasserstein import SlicedWasserstein as SlicedWasserstein
+from .weighted_chamfer import WeightedChamfer as WeightedChamfer
+from .weighted_chamfer import density_weights as density_weights

@@ -1,0 +1,137 @@
+"""What the methods share that simulate particles as elastic matter on a grid."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from morph_engine import losses, mpm
+from morph_engine.config import MethodOptions
+from morph_engine.config.sections import (
+    AdjointConfig,
+    GridConfig,
+    Kernel,
+    MaterialConfig,
+    TimeConfig,
+    WatchdogConfig,
+)
+from morph_engine.methods.method import FrameOutcome, Method, Problem
+
+if TYPE_CHECKING:
+    from morph_engine.mpm import Layer, Simulation
+    from morph_engine.optimization import Event
+
+COURANT_LIMIT = 1.0
+"""An elastic wave crosses at most this many cells in a time step (Courant condition)."""
+
+
+class MpmOptions(MethodOptions):
+    """Options of every method that simulates matter."""
+
+    kernel: Kernel = Field("cubic", description="B-spline interpolation.")
+    material: MaterialConfig = MaterialConfig()
+    time: TimeConfig = TimeConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
+
+    def check_grid(self, grid: GridConfig) -> None:
+        """Refuse time steps beyond the stable range of the material on the grid."""
+        largest = COURANT_LIMIT * grid.dx / self.material.sound_speed
+        if self.time.dt > largest:
+            raise ValueError(
+                f"time.dt = {self.time.dt:g} s is beyond the stable limit {largest:.4g} s "
+                "of this material and grid"
+            )
+
+
+MpmOptionsT = TypeVar("MpmOptionsT", bound=MpmOptions)
+
+
+class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
+    """Particles with velocity and deformation, sorted by cell for every frame."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        config, device = problem.config, self.device
+        self._mass = self.options.material.density * config.spacing**3
+        self._grid = mpm.make_grid(config.grid, self.options.kernel)
+        self._particles = mpm.Particles.at_rest(problem.source.astype(device.numpy_real))
+        self._matches = losses.Matches(device.upload(problem.target), device.upload(problem.source))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Positions, velocities, affine velocities and deformation gradients."""
+        p = self._particles
+        return {"x": p.x, "v": p.v, "C": p.C, "F": p.F}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take up a state that `state` returned."""
+        self._particles = mpm.Particles(**{name: state[name] for name in "xvCF"})
+
+    def _make_simulation(
+        self,
+        rest_volume: NDArray[Any],
+        *,
+        transitions: int,
+        adjoint: AdjointConfig | None = None,
+    ) -> Simulation:
+        """A simulation of the material.
+
+        Args:
+            rest_volume: Rest volumes [dx^3], shape [n].
+            transitions: Time steps that are kept at a time.
+            adjoint: Departures from the exact adjoint; none if not given.
+        """
+        material = self.options.material
+        return mpm.Simulation(
+            rest_volume,
+            grid=self._grid,
+            material=mpm.Material(
+                model=mpm.MODELS[material.model],
+                lame_lambda=material.lame_lambda,
+                lame_mu=material.lame_mu,
+                particle_mass=self._mass,
+                drag=material.drag,
+            ),
+            dt=self.options.time.dt,
+            transitions=transitions,
+            domain=self.problem.config.domain,
+            largest_cells_per_step=self.options.watchdog.cells_per_step,
+            adjoint=mpm.AdjointFlags(**adjoint.model_dump()) if adjoint else mpm.EXACT,
+        )
+
+    def _cell_order(self) -> NDArray[np.intp]:
+        """Particles by grid cell, shape [n]."""
+        return mpm.cell_order(self._particles.x, self._grid)
+
+    def _keep(self, layer: Layer, order: NDArray[np.intp]) -> None:
+        """Take the state that a frame has ended with, whose particles are in this order."""
+        self._particles = layer.download().permuted(np.argsort(order))
+
+    def _outcome(
+        self, order: NDArray[np.intp], numbers: dict[str, float], events: tuple[Event, ...] = ()
+    ) -> FrameOutcome:
+        """Report the state kept last.
+
+        Args:
+            order: The order of its particles on the device, where their matches are up to date.
+            numbers: Losses and steps of the frame.
+            events: What the watchdog did.
+        """
+        p, original = self._particles, np.argsort(order)
+        d_fwd, d_rev = self._matches.distances()
+        speed_squared = np.sum(p.v.astype(np.float64) ** 2, axis=1)
+        return FrameOutcome(
+            positions=p.x.astype(np.float32),
+            d_fwd=d_fwd[original],
+            nearest_fwd=self._matches.forward.to_numpy()[original],
+            d_rev=d_rev,
+            deformation=p.F,
+            numbers={
+                **numbers,
+                "kinetic_energy": float(0.5 * self._mass * speed_squared.sum()),
+                "max_speed": float(np.sqrt(speed_squared.max())),
+            },
+            events=events,
+        )
