@@ -3,6 +3,7 @@
 import pytest
 
 from chamfer_morph.cli.tables import format_duration, format_size, print_settings
+from morph_engine.config import setting_fields
 from morph_engine.errors import ConfigError
 from morph_engine.presets import configure
 
