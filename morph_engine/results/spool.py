@@ -92,7 +92,7 @@ class SpoolReader:
         Raises:
             ResultError: There is no such run, or it is damaged.
         """
-        return _read_run(self.path)[1]
+        return _read_run(self.path)
 
     def positions(self, frame: int) -> NDArray[np.float32]:
         """Positions of a finished frame.
