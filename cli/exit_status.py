@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+import traceback
 from collections.abc import Callable
 from importlib import metadata
 
@@ -65,16 +66,11 @@ def _usage_error(error: typer.TyperException) -> MorphError:
 
 
 def _program_fault(error: Exception) -> MorphError:
-    frame = error.__traceback__
-    while frame and frame.tb_next:
-        frame = frame.tb_next
-    place = ""
-    if frame:
-        code = frame.tb_frame.f_code
-        place = f" in {os.path.basename(code.co_filename)}, line {frame.tb_lineno}"
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    location = f"{os.path.basename(frame.filename)}, line {frame.lineno}"
     version = metadata.version("chamfer-morph")
     return MorphError(
-        f"This is a fault of the program: {type(error).__name__}: {error}{place}.",
+        f"This is a fault of the program: {type(error).__name__}: {error} in {location}.",
         f"Please report that line, your command, chamfer-morph {version}, Python "
         f"{platform.python_version()} and {platform.platform()}; --debug shows the traceback.",
     )

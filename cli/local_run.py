@@ -105,7 +105,7 @@ def run(
         record, device=device, threads=threads, out=out, resume=resume, overwrite=force
     )
     with (
-        at_interrupt(lambda: on_interrupt(interrupted(record, out))),
+        at_interrupt(lambda: on_interrupt(write_partial_result(record, out))),
         RunDisplay(last + 1, quiet=quiet) as display,
     ):
         for frame in frames:
@@ -118,7 +118,7 @@ def run(
     return summary
 
 
-def interrupted(record: RunRecord, out: Path) -> Summary:
+def write_partial_result(record: RunRecord, out: Path) -> Summary:
     """Make the result file of the frames that are safe by now, while the run still lasts.
 
     Raises:
@@ -136,7 +136,7 @@ def interrupted(record: RunRecord, out: Path) -> Summary:
         return Summary(record, out, count, metrics, spool.events, interrupted=True)
 
 
-def repeated(result: Path) -> RunRecord:
+def record_to_rerun(result: Path) -> RunRecord:
     """The record of a finished run, to be run again with the software of today.
 
     Raises:

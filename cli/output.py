@@ -33,18 +33,18 @@ def error_document(error: MorphError) -> dict[str, dict[str, str]]:
 
 def print_json(document: object) -> None:
     """Write one JSON object to standard output; models are dumped, inf and nan become null."""
-    text = json.dumps(_finite(document), indent=2)
+    text = json.dumps(_with_finite_numbers(document), indent=2)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
-def _finite(value: object) -> object:
+def _with_finite_numbers(value: object) -> object:
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _with_finite_numbers(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [_with_finite_numbers(item) for item in value]
     if hasattr(value, "model_dump"):
-        return _finite(value.model_dump(mode="json"))
+        return _with_finite_numbers(value.model_dump(mode="json"))
     if isinstance(value, float) and not abs(value) < float("inf"):
         return None
     return value

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.text import Text
 
-from chamfer_morph.cli.tables import format_duration, losses
+from chamfer_morph.cli.tables import format_duration, format_losses
 
 if TYPE_CHECKING:
     from morph_engine.morphing import Frame
@@ -104,7 +104,7 @@ class RunDisplay(ProgressDisplay):
             seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
         """
         done = index + 1
-        text = losses(metrics)
+        text = format_losses(metrics)
         if seconds:
             self._recent.append(seconds)
             left = sum(self._recent) / len(self._recent) * (self._frame_count - done)

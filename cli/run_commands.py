@@ -94,10 +94,10 @@ def rerun(
     execution: ExecutionOptions,
 ) -> None:
     """Repeat a run from its result file alone, and say how far the two end apart."""
-    from chamfer_morph.cli.local_run import repeated, rerun_difference
+    from chamfer_morph.cli.local_run import record_to_rerun, rerun_difference
 
     out = out or result.with_name(f"{result.stem}-rerun.vtkhdf")
-    summary = execution.compute(repeated(result), out)
+    summary = execution.compute(record_to_rerun(result), out)
     difference = rerun_difference(result, summary)
     _report(summary, as_json=execution.as_json, difference=difference)
     if not execution.as_json:

@@ -25,7 +25,7 @@ PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""
 
 
-def losses(metrics: Mapping[str, float]) -> str:
+def format_losses(metrics: Mapping[str, float]) -> str:
     """The two numbers that tell how a run is going: loss and two-sided Chamfer distance [dx]."""
     parts = [
         f"{label} {metrics[name]:.4g}"
@@ -212,7 +212,7 @@ def print_job(job: Job) -> None:
         ("method, preset, seed", f"{job.method}, {job.preset}, {job.seed}"),
         ("device, priority", f"{job.device}, {job.priority}"),
         ("frames", f"{job.progress.frame} of {job.progress.frames}"),
-        ("metrics", losses(job.progress.metrics)),
+        ("metrics", format_losses(job.progress.metrics)),
         (
             "time left",
             "" if job.progress.seconds_left is None else format_duration(job.progress.seconds_left),

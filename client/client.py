@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from chamfer_morph.client.connection import DEFAULT_TIMEOUT_SECONDS
 from chamfer_morph.client.execution import AsyncExecution, BlockingExecution
 from chamfer_morph.client.operations import Operations
 
@@ -21,16 +20,6 @@ class AsyncMorphClient(Operations, AsyncExecution):
         timeout_seconds: How long an answer may take [s].
     """
 
-    async def close(self) -> None:
-        """Close all connections."""
-        await self._connection.close()
-
-    async def __aenter__(self) -> AsyncMorphClient:
-        return self
-
-    async def __aexit__(self, *details: object) -> None:
-        await self.close()
-
 
 class MorphClient(Operations, BlockingExecution):
     """The service, blocking.
@@ -45,24 +34,3 @@ class MorphClient(Operations, BlockingExecution):
         key: API key; MORPH_KEY, or else no key, if None.
         timeout_seconds: How long an answer may take [s].
     """
-
-    def __init__(
-        self,
-        server: str | None = None,
-        *,
-        key: str | None = None,
-        timeout_seconds: float = DEFAULT_TIMEOUT_SECONDS,
-    ) -> None:
-        Operations.__init__(self, server, key=key, timeout_seconds=timeout_seconds)
-        BlockingExecution.__init__(self)
-        self._exit_stack.callback(self._portal.call, self._connection.close)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self._exit_stack.close()
-
-    def __enter__(self) -> MorphClient:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        self.close()

@@ -62,7 +62,7 @@ async def _receive(
     attempts: Attempts,
 ) -> None:
     """Write the body of an answer after what is there, or to a new beginning."""
-    arriving = PartialFile.of_etag(target, response.headers.get("etag", ""))
+    arriving = PartialFile.from_etag(target, response.headers.get("etag", ""))
     if arriving is None:
         raise unexpected_answer(connection.server)
     if part is not None and response.status_code != 206:

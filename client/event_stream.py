@@ -23,7 +23,7 @@ class Message:
     data: str
 
 
-class EventStream:
+class EventStreamDecoder:
     """Takes the bytes of a stream as they arrive, in pieces of any size, and finds its messages."""
 
     def __init__(self) -> None:

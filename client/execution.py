@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from contextlib import ExitStack
-from functools import wraps
+from functools import cached_property, wraps
 from types import MethodType
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
-from anyio.from_thread import start_blocking_portal
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+
+from chamfer_morph.client.connection import Connection
 
 P = ParamSpec("P")
 R_co = TypeVar("R_co", covariant=True)
 T = TypeVar("T")
+Self = TypeVar("Self")
 
 _END: Any = object()
 
@@ -53,24 +56,54 @@ class operation(Generic[P, R_co]):
 class AsyncExecution:
     """Operations run in the event loop of the caller."""
 
+    _connection: Connection
+
+    async def close(self) -> None:
+        """Close all connections."""
+        await self._connection.close()
+
+    async def __aenter__(self: Self) -> Self:
+        return self
+
+    async def __aexit__(self, *details: object) -> None:
+        await self.close()
+
     def _bound(self, method: Callable[..., Any]) -> Callable[..., Any]:
         return MethodType(method, self)
 
 
 class BlockingExecution:
-    """Operations run to their end, in an event loop in a thread of its own."""
+    """Operations run to their end, in an event loop in a thread of the client's own."""
 
-    def __init__(self) -> None:
-        self._exit_stack = ExitStack()
-        self._portal = self._exit_stack.enter_context(start_blocking_portal())
+    _connection: Connection
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._exit_stack.close()
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self.close()
+
+    @cached_property
+    def _exit_stack(self) -> ExitStack:
+        return ExitStack()
+
+    @cached_property
+    def _portal(self) -> BlockingPortal:
+        portal = self._exit_stack.enter_context(start_blocking_portal())
+        self._exit_stack.callback(portal.call, self._connection.close)
+        return portal
 
     def _bound(self, method: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(method)
         def call(*args: Any, **kwargs: Any) -> Any:
-            begun = method(self, *args, **kwargs)
-            if isinstance(begun, AsyncGenerator):
-                return self._iterate(begun)
-            return self._portal.call(lambda: begun)
+            started = method(self, *args, **kwargs)
+            if isinstance(started, AsyncGenerator):
+                return self._iterate(started)
+            return self._portal.call(lambda: started)
 
         return call
 

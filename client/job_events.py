@@ -9,7 +9,7 @@ import httpx
 from anyio import sleep
 
 from chamfer_morph.client.connection import Connection
-from chamfer_morph.client.event_stream import EventStream
+from chamfer_morph.client.event_stream import EventStreamDecoder
 from chamfer_morph.client.retry import MANY_ATTEMPTS, Attempts
 from chamfer_morph.schemas import Event, EventPage, JobState
 
@@ -47,10 +47,10 @@ async def _stream(connection: Connection, path: str, after: int) -> AsyncGenerat
         silent = True
         try:
             async with connection.stream(path, headers=headers, timeout=STREAM_TIMEOUT) as response:
-                if response.status_code in _TRY_POLLING or _is_something_else(response):
+                if response.status_code in _TRY_POLLING or _is_no_event_stream(response):
                     return
                 if response.is_success:
-                    stream = EventStream()
+                    stream = EventStreamDecoder()
                     async for chunk in response.aiter_bytes():
                         silent = False
                         attempts.succeeded()
@@ -82,6 +82,6 @@ async def _poll(connection: Connection, path: str, after: int) -> AsyncGenerator
             await sleep(POLL_SECONDS)
 
 
-def _is_something_else(response: httpx.Response) -> bool:
+def _is_no_event_stream(response: httpx.Response) -> bool:
     kind = response.headers.get("content-type", "")
     return response.is_success and not kind.startswith("text/event-stream")

@@ -68,15 +68,7 @@ COMPUTING_TIMEOUT = httpx.Timeout(30.0, read=900.0)
 
 
 class Operations:
-    """What both clients can do.
-
-    Every operation raises ServiceError when the service refuses or does not answer.
-
-    Args:
-        server: Address of the service; MORPH_SERVER, or else this machine, if None.
-        key: API key; MORPH_KEY, or else no key, if None.
-        timeout_seconds: How long an answer may take [s].
-    """
+    """What both clients can do; everything raises ServiceError when the service refuses."""
 
     def __init__(
         self,
@@ -106,12 +98,12 @@ class Operations:
     @operation
     async def mesh(self, mesh_id: str) -> Mesh:
         """One mesh."""
-        return await self._get(Mesh, _at("meshes", mesh_id))
+        return await self._get(Mesh, _path("meshes", mesh_id))
 
     @operation
     async def delete_mesh(self, mesh_id: str) -> None:
         """Delete a mesh that no unfinished job uses."""
-        await self._connection.send("DELETE", _at("meshes", mesh_id))
+        await self._connection.send("DELETE", _path("meshes", mesh_id))
 
     # jobs
 
@@ -155,7 +147,7 @@ class Operations:
         Raises:
             MeshError: A file cannot be read.
         """
-        body = _checked(
+        body = _validated(
             JobRequest,
             source=await self._shape(source),
             target=await self._shape(target),
@@ -194,27 +186,27 @@ class Operations:
             job_id: The job.
             wait_for_service: Wait about a minute for a service that is away.
         """
-        return await self._get(Job, _at("jobs", job_id), wait_for_service=wait_for_service)
+        return await self._get(Job, _path("jobs", job_id), wait_for_service=wait_for_service)
 
     @operation
     async def cancel(self, job_id: str) -> Job:
         """Stop a job; its finished frames stay."""
-        return await self._post(Job, _at("jobs", job_id, "cancel"), repeatable=True)
+        return await self._post(Job, _path("jobs", job_id, "cancel"), repeatable=True)
 
     @operation
     async def resume(self, job_id: str) -> Job:
         """Let a job that did not succeed go on after its last finished frame."""
-        return await self._post(Job, _at("jobs", job_id, "resume"))
+        return await self._post(Job, _path("jobs", job_id, "resume"))
 
     @operation
     async def retry(self, job_id: str) -> Job:
         """Compute a finished job again from its beginning."""
-        return await self._post(Job, _at("jobs", job_id, "retry"))
+        return await self._post(Job, _path("jobs", job_id, "retry"))
 
     @operation
     async def delete(self, job_id: str) -> None:
         """Delete a finished job and its result."""
-        await self._connection.send("DELETE", _at("jobs", job_id))
+        await self._connection.send("DELETE", _path("jobs", job_id))
 
     @operation
     def events(self, job_id: str, *, after: int = 0) -> AsyncGenerator[Event, None]:
@@ -226,14 +218,14 @@ class Operations:
             job_id: The job.
             after: Leave out events up to this id.
         """
-        return follow(self._connection, _at("jobs", job_id, "events"), after)
+        return follow(self._connection, _path("jobs", job_id, "events"), after)
 
     @operation
     async def wait(self, job_id: str) -> Job:
         """The job once it is finished, however it ended."""
-        async for _ in follow(self._connection, _at("jobs", job_id, "events"), after=0):
+        async for _ in follow(self._connection, _path("jobs", job_id, "events"), after=0):
             pass
-        return await self._get(Job, _at("jobs", job_id), wait_for_service=True)
+        return await self._get(Job, _path("jobs", job_id), wait_for_service=True)
 
     # results
 
@@ -250,7 +242,7 @@ class Operations:
         Raises:
             ResultError: What arrived is damaged.
         """
-        await download(self._connection, _at("jobs", job_id, "result"), Path(path))
+        await download(self._connection, _path("jobs", job_id, "result"), Path(path))
         return Path(path)
 
     @operation
@@ -261,17 +253,17 @@ class Operations:
             job_id: The job, which may still run.
             index: 0-based; -1 is the last one finished.
         """
-        return await self._get_points(_at("jobs", job_id, "frames", str(index)))
+        return await self._get_points(_path("jobs", job_id, "frames", str(index)))
 
     @operation
     async def source(self, job_id: str) -> NDArray[np.float32]:
         """Particle positions before the first frame [dx], shape [particle_count, 3], float32."""
-        return await self._get_points(_at("jobs", job_id, "source"))
+        return await self._get_points(_path("jobs", job_id, "source"))
 
     @operation
     async def target(self, job_id: str) -> NDArray[np.float32]:
         """Target points [dx], shape [target_count, 3], float32."""
-        return await self._get_points(_at("jobs", job_id, "target"))
+        return await self._get_points(_path("jobs", job_id, "target"))
 
     @operation
     async def field(self, job_id: str, name: str, index: int = -1) -> NDArray[np.float32]:
@@ -284,7 +276,7 @@ class Operations:
         """
         import numpy as np
 
-        path = _at("jobs", job_id, "frames", str(index), "fields", name)
+        path = _path("jobs", job_id, "frames", str(index), "fields", name)
         answer = await self._connection.get(path, format="f32")
         return np.frombuffer(answer.content, "<f4").astype(np.float32)
 
@@ -308,7 +300,7 @@ class Operations:
             format: glb, ply, obj or stl.
             units: The coordinates of the target's file, or grid units.
         """
-        path = _at("jobs", job_id, "frames", str(index), "surface")
+        path = _path("jobs", job_id, "frames", str(index), "surface")
         answer = await self._connection.get(
             path, timeout=COMPUTING_TIMEOUT, format=format, units=units
         )
@@ -317,7 +309,7 @@ class Operations:
     @operation
     async def thumbnail(self, job_id: str) -> bytes:
         """A WebP picture of the newest frame, 240 x 180 pixels."""
-        return (await self._connection.get(_at("jobs", job_id, "thumbnail"))).content
+        return (await self._connection.get(_path("jobs", job_id, "thumbnail"))).content
 
     @operation
     async def export(
@@ -349,7 +341,7 @@ class Operations:
         Raises:
             ResultError: The export has failed, or what arrived is damaged.
         """
-        body = _checked(
+        body = _validated(
             ExportRequest,
             format=format,
             frames=None if frames is None else list(frames),
@@ -357,12 +349,12 @@ class Operations:
             units=units,
             fields=list(fields),
         )
-        path_of_exports = _at("jobs", job_id, "exports")
+        path_of_exports = _path("jobs", job_id, "exports")
         export = await self._post(Export, path_of_exports, body, repeatable=True)
         while export.state == "running":
             await sleep(EXPORT_SECONDS)
             try:
-                export = await self._get(Export, _at("jobs", job_id, "exports", export.id))
+                export = await self._get(Export, _path("jobs", job_id, "exports", export.id))
             except ServiceError as error:
                 if error.status != 404:
                     raise
@@ -370,24 +362,24 @@ class Operations:
                 export = await self._post(Export, path_of_exports, body, repeatable=True)
         if export.problem is not None:
             raise ResultError(export.problem.cause, export.problem.remedy)
-        exported = _at("jobs", job_id, "exports", export.id, "file")
+        exported = _path("jobs", job_id, "exports", export.id, "file")
         await download(self._connection, exported, Path(path))
         return Path(path)
 
     @operation
     async def metrics(self, job_id: str) -> list[dict[str, float]]:
         """Metrics of every finished frame, and what each took [s]."""
-        return await self._get(list[dict[str, float]], _at("jobs", job_id, "metrics"))
+        return await self._get(list[dict[str, float]], _path("jobs", job_id, "metrics"))
 
     @operation
     async def config(self, job_id: str) -> dict[str, Any]:
         """The resolved configuration of a job."""
-        return await self._get(dict[str, Any], _at("jobs", job_id, "config"))
+        return await self._get(dict[str, Any], _path("jobs", job_id, "config"))
 
     @operation
     async def log(self, job_id: str) -> str:
         """What the engine wrote while it computed a job."""
-        return (await self._connection.get(_at("jobs", job_id, "log"))).text
+        return (await self._connection.get(_path("jobs", job_id, "log"))).text
 
     # sweeps
 
@@ -409,7 +401,7 @@ class Operations:
         idempotency_key: str | None = None,
     ) -> Sweep:
         """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
-        body = _checked(
+        body = _validated(
             SweepRequest,
             sources=[await self._shape(source) for source in sources],
             targets=[await self._shape(target) for target in targets],
@@ -435,7 +427,7 @@ class Operations:
             sweep_id: The sweep.
             wait_for_service: Wait about a minute for a service that is away.
         """
-        return await self._get(Sweep, _at("sweeps", sweep_id), wait_for_service=wait_for_service)
+        return await self._get(Sweep, _path("sweeps", sweep_id), wait_for_service=wait_for_service)
 
     # what there is to choose from
 
@@ -480,7 +472,7 @@ class Operations:
         """
         known = await self._shape(shape)
         place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
-        path = _at(*place, "particles")
+        path = _path(*place, "particles")
         return await self._get_points(path, points_per_cell_edge=points_per_cell_edge, fit=fit)
 
     # administration
@@ -493,13 +485,13 @@ class Operations:
     @operation
     async def create_key(self, name: str, scopes: Iterable[str] = ("read", "submit")) -> NewKey:
         """A new API key; its secret is shown this once."""
-        body = _checked(KeyRequest, name=name, scopes=list(scopes))
+        body = _validated(KeyRequest, name=name, scopes=list(scopes))
         return await self._post(NewKey, "/keys", body)
 
     @operation
     async def delete_key(self, name: str) -> None:
         """Delete an API key; it is refused from then on."""
-        await self._connection.send("DELETE", _at("keys", name))
+        await self._connection.send("DELETE", _path("keys", name))
 
     @operation
     async def workers(self) -> list[WorkerStatus]:
@@ -509,12 +501,14 @@ class Operations:
     @operation
     async def pause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a worker finish its job and start no other."""
-        return await self._post(WorkerStatus, _at("workers", worker_id, "pause"), repeatable=True)
+        return await self._post(WorkerStatus, _path("workers", worker_id, "pause"), repeatable=True)
 
     @operation
     async def unpause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a paused worker start jobs again."""
-        return await self._post(WorkerStatus, _at("workers", worker_id, "unpause"), repeatable=True)
+        return await self._post(
+            WorkerStatus, _path("workers", worker_id, "unpause"), repeatable=True
+        )
 
     # how requests are sent
 
@@ -571,7 +565,7 @@ class Operations:
                 f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
             ) from error
         try:
-            return await self._get(Mesh, _at("meshes", digest))
+            return await self._get(Mesh, _path("meshes", digest))
         except ServiceError as error:
             if error.status != 404:
                 raise
@@ -595,7 +589,7 @@ class Operations:
         return MeshShape(mesh=(await self._upload(Path(source))).id)
 
 
-def _at(*segments: str) -> str:
+def _path(*segments: str) -> str:
     """A path below /v1; an id cannot lead out of its place in it.
 
     Raises:
@@ -614,7 +608,7 @@ def _is_file(shape: str) -> bool:
     return bool({".", "/"} & set(shape)) or Path(shape).is_file()
 
 
-def _checked(model: type[Model], **values: Any) -> Model:
+def _validated(model: type[Model], **values: Any) -> Model:
     """A request body.
 
     Raises:

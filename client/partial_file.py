@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
+from morph_engine.digest import file_sha256
 from morph_engine.errors import ResultError
 
 SUFFIX = ".part"
-BLOCK_BYTES = 1 << 20
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 
@@ -39,7 +38,7 @@ class PartialFile:
         return None
 
     @classmethod
-    def of_etag(cls, target: Path, etag: str) -> PartialFile | None:
+    def from_etag(cls, target: Path, etag: str) -> PartialFile | None:
         """The partial file of what a server sends under this ETag; None if it is no SHA-256."""
         digest = etag.strip('"')
         return cls(target, digest) if _DIGEST.fullmatch(digest) else None
@@ -64,11 +63,7 @@ class PartialFile:
         Raises:
             ResultError: Its digest is another one; it is gone then.
         """
-        digest = hashlib.sha256()
-        with self.path.open("rb") as file:
-            while block := file.read(BLOCK_BYTES):
-                digest.update(block)
-        if digest.hexdigest() != self.digest:
+        if file_sha256(self.path) != self.digest:
             self.discard()
             raise ResultError(
                 f"{self.target.name} arrived damaged: its SHA-256 is not the one announced.",

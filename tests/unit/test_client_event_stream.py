@@ -2,7 +2,7 @@
 
 import pytest
 
-from chamfer_morph.client.event_stream import EventStream, Message
+from chamfer_morph.client.event_stream import EventStreamDecoder, Message
 
 STREAM = (
     b": a comment\r\n"
@@ -23,7 +23,7 @@ MESSAGES = [
 @pytest.mark.parametrize("size", [1, 2, 3, 7, len(STREAM)])
 def test_messages_do_not_depend_on_how_the_bytes_arrive(size):
     """All three line ends, comments, fields without a value, and text beyond ASCII."""
-    stream = EventStream()
+    stream = EventStreamDecoder()
     found = []
     for start in range(0, len(STREAM), size):
         found += stream.feed(STREAM[start : start + size])
@@ -32,6 +32,6 @@ def test_messages_do_not_depend_on_how_the_bytes_arrive(size):
 
 def test_a_message_comes_as_soon_as_it_is_whole():
     """The empty line completes it; nothing waits for the next message."""
-    stream = EventStream()
+    stream = EventStreamDecoder()
     assert stream.feed(b"data: x\n") == []
     assert stream.feed(b"\n") == [Message("", "message", "x")]

@@ -4,6 +4,8 @@ import asyncio
 import hashlib
 import json
 import socket
+import subprocess
+import sys
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -458,6 +460,25 @@ def test_both_clients_have_the_same_methods():
     """Whatever one can do, the other can."""
     names = {name for name in dir(AsyncMorphClient) if not name.startswith("_")}
     assert names == {name for name in dir(MorphClient) if not name.startswith("_")}
+
+
+def test_the_blocking_client_works_inside_an_event_loop_and_leaves_no_thread():
+    """As in a notebook, whose cells run in a loop; closing ends the client's own."""
+
+    async def use(server):
+        with MorphClient(server) as client:
+            return client.job(JOB_ID).id
+
+    threads = threading.active_count()
+    with serving(as_json(job())) as (server, _):
+        assert asyncio.run(use(server)) == JOB_ID
+    assert threading.active_count() == threads
+
+
+def test_errors_of_the_client_need_no_http():
+    """Whoever only handles errors does not load what talks to the service."""
+    code = "import sys, chamfer_morph.client.errors; sys.exit('httpx' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def recorded_sleep(monkeypatch):
