@@ -11,7 +11,7 @@ export function settings(job, config, signal) {
     h("h2", { id: "settings" }, "Settings"),
     body,
   );
-  get(`/presets/${encodeURIComponent(job.preset)}`, { signal })
+  get(`/presets/${encodeURIComponent(job.preset)}`, { query: { method: job.method }, signal })
     .then(({ config: preset }) => show(body, job, config, preset))
     .catch(() => !signal.aborted && show(body, job, config, null));
   return section;

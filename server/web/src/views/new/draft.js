@@ -35,10 +35,10 @@ export function toQuery({ source, target, methods, preset, name, overrides }) {
 
 /** A job as a draft: what its settings have that its preset has not. */
 export function fromJob(job, config, preset) {
-  const before = flat(preset);
+  const before = settingsOf(preset);
   const overrides = {};
-  for (const [path, value] of Object.entries(flat(config))) {
-    if (path === "preset" || path === "method") continue;
+  for (const [path, value] of Object.entries(settingsOf(config))) {
+    if (path === "preset") continue;
     if (JSON.stringify(value) !== JSON.stringify(before[path])) overrides[path] = value;
   }
   const { source, target, method, name } = job;
@@ -57,8 +57,12 @@ export function toRequest({ source, target, methods, preset, name, overrides }) 
   return ["/sweeps", { ...common, ...seeded, sources: [source], targets: [target], methods }];
 }
 
-/** Settings by dotted path. */
-export function flat(config, prefix = "") {
+/** Settings by dotted path, options of the method by theirs. */
+export function settingsOf({ method: { name: _, ...options }, ...shared }) {
+  return { ...flat(shared), ...flat(options) };
+}
+
+function flat(config, prefix = "") {
   return Object.entries(config).reduce((paths, [name, value]) => {
     const nested = value !== null && typeof value === "object" && !Array.isArray(value);
     return Object.assign(paths, nested ? flat(value, `${prefix}${name}.`) : { [prefix + name]: value });

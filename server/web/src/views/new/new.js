@@ -7,7 +7,7 @@ import { freshKey } from "../../idempotency.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { Chooser } from "./chooser.js";
-import { flat, fromJob, fromQuery, toQuery, toRequest } from "./draft.js";
+import { fromJob, fromQuery, settingsOf, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
 import { settings } from "./schema.js";
 import { Settings } from "./settings.js";
@@ -28,7 +28,7 @@ export async function show(root, params, signal) {
   const draft = params.like ? await like(params.like, signal) : fromQuery(params);
   if (draft.methods.length === 0) draft.methods = [methods[0].name];
   const form = new Form({ methods, presets, shapes, schema }, draft, signal);
-  await form.valuesOf(draft.preset); // a form that filled itself later would write over what is typed
+  await form.valuesOf(draft); // a form that filled itself later would write over what is typed
   fill(root, form.element);
   await form.changed({});
 }
@@ -38,7 +38,7 @@ async function like(id, signal) {
     get(`/jobs/${id}`, { signal }),
     get(`/jobs/${id}/config`, { signal }),
   ]);
-  const preset = await get(`/presets/${job.preset}`, { signal });
+  const preset = await get(`/presets/${job.preset}`, { query: { method: job.method }, signal });
   return fromJob(job, config, preset.config);
 }
 
@@ -110,9 +110,9 @@ class Form {
     this.key = freshKey();
     replaceQuery(toQuery(this.draft));
     const { source, target, methods, preset, name, overrides } = this.draft;
-    const values = await this.valuesOf(preset);
-    if (this.signal.aborted || this.draft.preset !== preset) return;
-    this.settings.show(values, overrides);
+    const values = await this.valuesOf(this.draft);
+    if (this.signal.aborted || this.draft.preset !== preset || this.draft.methods !== methods) return;
+    this.settings.show(values, overrides, methods);
     const value = (path) => overrides[path] ?? values[path];
     const sampling = {
       pointsPerCellEdge: value("sampling.points_per_cell_edge"),
@@ -134,12 +134,20 @@ class Form {
     this.changed({ overrides });
   }
 
-  async valuesOf(preset) {
-    if (!this.presets.has(preset)) {
-      const { config } = await get(`/presets/${preset}`, { signal: this.signal });
-      this.presets.set(preset, flat(config));
+  /** Values of a preset; where methods differ, that of the first one chosen. */
+  async valuesOf({ preset, methods }) {
+    const ofMethods = await Promise.all(methods.map((method) => this.presetOf(preset, method)));
+    return Object.assign({}, ...ofMethods.reverse());
+  }
+
+  presetOf(preset, method) {
+    const key = `${preset}/${method}`;
+    if (!this.presets.has(key)) {
+      const asked = get(`/presets/${preset}`, { query: { method }, signal: this.signal });
+      this.presets.set(key, asked.then(({ config }) => settingsOf(config)));
+      asked.catch(() => this.presets.delete(key));
     }
-    return this.presets.get(preset);
+    return this.presets.get(key);
   }
 
   presetField(presets) {
@@ -194,7 +202,8 @@ class Form {
     this.submit.setAttribute("aria-disabled", "true");
     fill(this.trouble);
     try {
-      const [path, body] = toRequest(this.draft);
+      const overrides = this.settings.applying(this.draft.overrides);
+      const [path, body] = toRequest({ ...this.draft, overrides });
       const made = await post(path, body, { idempotencyKey: this.key, signal: this.signal });
       go(path === "/jobs" ? `/jobs/${made.id}` : `/?sweep=${made.id}`);
     } catch (error) {

@@ -3,26 +3,39 @@
 const GENERAL = "General";
 
 /**
- * Every setting, in the order of the schema.
+ * Every setting, in the order of the schema: those of all methods, then those of single ones.
  *
- * @param {object} schema of the whole configuration
- * @returns {Array<{path: string, group: string, groupMeaning: string, title: string,
- *   meaning: string, unit: string, range: string, kind: string, schema: object, nullable: boolean}>}
+ * @param {object} schema of the whole configuration, in which `method` is a union of the options
+ *   of all methods
+ * @returns {Array<{path: string, methods: Set<string> | null, group: string, groupMeaning: string,
+ *   title: string, meaning: string, unit: string, range: string, kind: string, schema: object,
+ *   nullable: boolean}>} `methods` have the setting, all of them where it is null
  */
 export function settings(schema) {
-  const found = [];
-  for (const [name, property] of Object.entries(schema.properties)) {
-    const section = resolve(property, schema);
-    if (section.type === "object") {
-      for (const [key, leaf] of Object.entries(section.properties)) {
-        const about = plain(section.description).replace(/\s*\([^)]*\)/g, "");
-        found.push(setting(`${name}.${key}`, words(name), about, leaf));
-      }
-    } else {
-      found.push(setting(name, GENERAL, "", section));
+  const { method, ...shared } = schema.properties;
+  const found = leaves(shared, schema, GENERAL);
+  const ofMethods = new Map();
+  for (const option of method.oneOf) {
+    const { name, ...properties } = resolve(option, schema).properties;
+    for (const leaf of leaves(properties, schema, "")) {
+      const known = ofMethods.get(leaf.path);
+      if (known) known.methods.add(name.const);
+      else ofMethods.set(leaf.path, { ...leaf, methods: new Set([name.const]) });
     }
   }
-  return found;
+  for (const leaf of ofMethods.values()) leaf.group ||= [...leaf.methods].map(words).join(", ");
+  return [...found, ...ofMethods.values()];
+}
+
+/** Settings of a section and of the sections in it; those right in it form a group of their own. */
+function leaves(properties, schema, group, groupMeaning = "", prefix = "") {
+  return Object.entries(properties).flatMap(([name, property]) => {
+    const section = resolve(property, schema);
+    const path = prefix + name;
+    if (section.type !== "object") return [setting(path, group, groupMeaning, section)];
+    const meaning = plain(section.description).replace(/\s*\([^)]*\)/g, "");
+    return leaves(section.properties, schema, words(name), meaning, `${path}.`);
+  });
 }
 
 function setting(path, group, groupMeaning, leaf) {
@@ -32,6 +45,7 @@ function setting(path, group, groupMeaning, leaf) {
   const [bracket = "", unit = ""] = [...meaning.matchAll(/\s*\[([^\]]+)\]/g)].at(-1) ?? [];
   return {
     path,
+    methods: null,
     group,
     groupMeaning,
     title: words(path.split(".").at(-1)),

@@ -4,7 +4,7 @@ import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
 import { Setting } from "./setting.js";
 
-const ELSEWHERE = new Set(["preset", "method"]);
+const ELSEWHERE = new Set(["preset"]);
 
 /** The settings of the form: a few beside the form's own fields, all others behind a summary. */
 export class Settings {
@@ -29,11 +29,12 @@ export class Settings {
     this.groups = [...groups].map(([name, group]) => ({ ...group, element: section(name, group) }));
     this.count = h("span", { class: "quiet small" });
     this.nothing = h("p", { class: "quiet", hidden: true }, "No setting is called that.");
-    const find = h("input", {
+    this.methods = [];
+    this.search = h("input", {
       type: "search",
       id: "find-setting",
       autocomplete: "off",
-      on: { input: (event) => this.find(event.target.value.trim().toLowerCase()) },
+      on: { input: () => this.find(this.search.value) },
     });
     this.element = h(
       "details",
@@ -42,26 +43,42 @@ export class Settings {
       h(
         "div",
         { class: "stack" },
-        h("div", { class: "field" }, h("label", { for: "find-setting" }, "Find a setting"), find),
+        h("div", { class: "field" }, h("label", { for: "find-setting" }, "Find a setting"), this.search),
         this.nothing,
         this.groups.map(({ element }) => element),
       ),
     );
   }
 
-  /** Show the values of a preset with overrides. */
-  show(preset, overrides) {
+  /** Show the settings of methods: the values of a preset with overrides. */
+  show(preset, overrides, methods) {
+    this.methods = methods;
     for (const [path, field] of this.fields) {
+      if (!this.applies(field)) continue;
       const value = path in overrides ? overrides[path] : preset[path];
       field.show(value, preset[path]);
     }
-    const size = Object.keys(overrides).length;
+    const size = Object.keys(this.applying(overrides)).length;
     fill(this.count, size ? `${plural(size, "setting")} changed` : "");
+    this.find(this.search.value);
+  }
+
+  /** Those of some overrides that the chosen methods have. */
+  applying(overrides) {
+    const kept = Object.entries(overrides).filter(([path]) => {
+      const field = this.fields.get(path);
+      return !field || this.applies(field);
+    });
+    return Object.fromEntries(kept);
   }
 
   /** The first setting with a fault, if any. */
   get wrong() {
-    return [...this.fields.values()].find((field) => field.wrong);
+    return [...this.fields.values()].find((field) => field.wrong && this.applies(field));
+  }
+
+  applies({ about: { methods } }) {
+    return !methods || this.methods.some((name) => methods.has(name));
   }
 
   /**
@@ -86,9 +103,12 @@ export class Settings {
   }
 
   find(text) {
+    const wanted = text.trim().toLowerCase();
     let any = false;
     for (const { fields, element } of this.groups) {
-      for (const field of fields) field.element.hidden = !field.matches(text);
+      for (const field of fields) {
+        field.element.hidden = !this.applies(field) || !field.matches(wanted);
+      }
       element.hidden = fields.every((field) => field.element.hidden);
       any ||= !element.hidden;
     }
