@@ -8,7 +8,7 @@ fields by path, as in `configure("fast", {"chamfer.weight": 5})`.
 from morph_engine.config.method_options import CostRates, MethodOptions
 from morph_engine.config.morph_config import MorphConfig
 from morph_engine.config.sections import Section
-from morph_engine.config.settings import override, setting_fields, validated
+from morph_engine.config.settings import override, overrides_of, setting_fields, validated
 from morph_engine.config.stored import stored_config
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "MorphConfig",
     "Section",
     "override",
+    "overrides_of",
     "setting_fields",
     "stored_config",
     "validated",

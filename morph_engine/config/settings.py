@@ -6,7 +6,7 @@ be written with `method.` before it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -71,6 +71,23 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
     return validated(tree)
 
 
+def overrides_of(
+    method: str, overrides: Mapping[str, Any], methods: Iterable[str]
+) -> dict[str, Any]:
+    """What of the overrides that are given for several methods is meant for one of them.
+
+    An override that none of them has is kept, so that it is refused.
+
+    Raises:
+        ConfigError: There is no such method.
+    """
+    return {
+        path: value
+        for path, value in overrides.items()
+        if _location(path, method) or not any(_location(path, other) for other in methods)
+    }
+
+
 def validated(tree: Mapping[str, Any]) -> MorphConfig:
     """A configuration from nested data.
 
@@ -112,6 +129,14 @@ def _resolved(path: str, method: str) -> str:
     Raises:
         ConfigError: The method has no such setting.
     """
+    location = _location(path, method)
+    if location is None:
+        raise _unknown(path, method)
+    return location
+
+
+def _location(path: str, method: str) -> str | None:
+    """The same, or None where the method has no such setting."""
     shared, options = shared_fields(), option_fields(method)
     for candidate in (path, renamed(path, method) or path):
         if candidate in shared:
@@ -119,7 +144,7 @@ def _resolved(path: str, method: str) -> str:
         short = candidate.removeprefix(_PREFIX)
         if short in options:
             return _PREFIX + short
-    raise _unknown(path, method)
+    return None
 
 
 def _unknown(path: str, method: str) -> MorphError:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
 from chamfer_morph.schemas import Resource
 from chamfer_morph.server.auth import Reader
@@ -29,11 +29,18 @@ def list_presets(caller: Reader) -> list[Resource]:
 
 
 @router.get("/presets/{name}", operation_id="getPreset", summary="Show a preset")
-def get_preset(name: str, caller: Reader) -> Resource:
+def get_preset(
+    name: str,
+    caller: Reader,
+    method: Annotated[
+        str | None, Query(description="Show the options of this method, not of the preset's own.")
+    ] = None,
+) -> Resource:
     """A preset with all its settings."""
     if name not in presets.names():
         raise not_found("preset", name)
-    config = presets.configure(name).model_dump(mode="json")
+    chosen = {} if method is None else {"method": method}
+    config = presets.configure(name, chosen).model_dump(mode="json")
     return Resource(name=name, description=presets.describe(name), config=config)
 
 

@@ -28,6 +28,7 @@ from chamfer_morph.server.submission import (
 )
 from chamfer_morph.worker.progress import read_progress
 from chamfer_morph.worker.queue import JobRecord
+from morph_engine.config import overrides_of
 
 router = APIRouter(prefix="/sweeps", tags=["sweeps"])
 
@@ -64,6 +65,8 @@ def submit_sweep(
     idempotency_key: IdempotencyKey = None,
 ) -> Sweep:
     """Queue sources x targets x methods x seeds, at most 1000 jobs, all of them or none.
+
+    An override goes to the methods that have the setting; one of them has to.
 
     If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
     """
@@ -111,11 +114,18 @@ def _submit(
     if before is not None and before.body != digest:
         raise idempotency_conflict()
     common = request.model_dump(
-        include={"preset", "overrides", "frames", "name", "device", "priority", "timeout_seconds"}
+        include={"preset", "frames", "name", "device", "priority", "timeout_seconds"}
     )
     submissions = [
         prepare(
-            JobRequest(source=source, target=target, method=method, seed=seed, **common),
+            JobRequest(
+                source=source,
+                target=target,
+                method=method,
+                seed=seed,
+                overrides=overrides_of(method, request.overrides, request.methods),
+                **common,
+            ),
             caller,
             context,
         )

@@ -132,6 +132,25 @@ def test_what_may_be_done_with_a_job_depends_on_its_state(either: Api) -> None:
         assert answer.status_code == 404
 
 
+def test_overrides_of_a_sweep_go_to_the_methods_that_have_them(api: Api) -> None:
+    """One that a single method has is no fault; one that none of them has is."""
+    body = {
+        "sources": [{"shape": "sphere"}],
+        "targets": [{"shape": "star"}],
+        "methods": ["joint", "transport"],
+        "overrides": {"chamfer.weight": 5, "sweeps": 3, "frames": 7},
+    }
+    rows = api.http.post("/v1/sweeps", json=body).json()["rows"]
+    configs = {row["method"]: api.http.get(f"/v1/jobs/{row['job']}/config").json() for row in rows}
+    assert configs["joint"]["method"]["chamfer"]["weight"] == 5
+    assert configs["transport"]["method"]["sweeps"] == 3
+    assert {config["frames"] for config in configs.values()} == {7}
+    for row in rows:
+        api.http.post(f"/v1/jobs/{row['job']}/cancel")
+    refused = api.http.post("/v1/sweeps", json={**body, "overrides": {"basis.cells": 5}})
+    assert refused.status_code == 422 and "shared_basis" in refused.json()["remedy"]
+
+
 def test_a_sweep_is_every_combination_and_one_table(either: Api) -> None:
     """Sources x targets x methods x seeds become jobs, once, however often it is sent."""
     body = {
@@ -236,6 +255,9 @@ def test_the_catalog_names_what_there_is(api: Api) -> None:
     assert presets[0]["name"] == "fast"
     assert api.http.get("/v1/presets/paper").json()["config"]["preset"] == "paper-1"
     assert api.http.get("/v1/presets/none").status_code == 404
+    of_joint = api.http.get("/v1/presets/fast?method=joint").json()["config"]["method"]
+    assert (of_joint["name"], of_joint["material"]["drag"]) == ("joint", 4.0)
+    assert api.http.get("/v1/presets/fast?method=none").status_code == 422
     assert {"joint", "physics"} <= {m["name"] for m in api.http.get("/v1/methods").json()}
     assert all(method["description"] for method in api.http.get("/v1/methods").json())
     assert {"sphere", "text:WORD"} <= {s["name"] for s in api.http.get("/v1/shapes").json()}
