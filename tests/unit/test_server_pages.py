@@ -28,7 +28,7 @@ def test_a_strange_cursor_is_refused(text: str) -> None:
     try:
         cursors.decode_cursor(text)
     except ProblemError as error:
-        assert error.status == 422
+        assert error.status_code == 422
 
 
 @given(st.text(max_size=300))
