@@ -40,6 +40,7 @@ def main() -> None:
         }
         config = configure("fast", settings)
         *_, last = morph(arguments.source, arguments.target, config)
+        assert np.isfinite(last.positions).all(), f"{method} should keep every particle."
         print(f"{method:14}" + "".join(f"{last.metrics[name]:14.4f}" for name in NUMBERS))
         panels.append(picture(last.positions, spacing=config.spacing, size=(480, 360)))
     Image.fromarray(np.hstack(panels)).save(arguments.picture)

@@ -57,6 +57,7 @@ def main() -> None:
         )
         for cloud in (source, *frames)
     ]
+    assert all((panel < 255).any() for panel in panels), "Every panel should show particles."
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.hstack(panels)).save(arguments.picture)
 

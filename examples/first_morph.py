@@ -29,8 +29,11 @@ def main() -> None:
     result = arguments.folder / "morph.vtkhdf"
     settings = {"frames": arguments.frames, "sampling.points_per_cell_edge": arguments.points}
     config = configure("fast", settings)
+    distances = []
     for frame in morph(arguments.source, arguments.target, config, out=result, overwrite=True):
-        print(f"frame {frame.index:2}  Chamfer distance {frame.metrics['two_sided']:.3f} dx")
+        distances.append(frame.metrics["two_sided"])
+        print(f"frame {frame.index:2}  Chamfer distance {distances[-1]:.3f} dx")
+    assert distances[-1] <= distances[0], "The morph should end nearer to the target."
 
     surface = export(result, arguments.folder / "last.glb", "glb", surface=True)
     animation = video(result, arguments.folder / "morph.gif", field="displacement", size=(480, 360))

@@ -101,6 +101,7 @@ def main() -> None:
     writer.SetFileName(str(arguments.picture))
     writer.SetInputConnection(grab.GetOutputPort())
     writer.Write()
+    assert arguments.picture.stat().st_size > 0, "The picture should be written."
 
 
 if __name__ == "__main__":

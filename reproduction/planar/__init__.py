@@ -2,8 +2,8 @@
 
 Three strategies minimise the same Chamfer loss: every point for itself (`dco`), the same with a
 local repulsive force (`dco_repulsion`), and an outline of 25 Fourier coefficients that all points
-share (`fourier`). `run_all` runs them in the paper's setting and to rest, `rows` makes the table,
-`figure` the picture.
+share (`fourier`). `experiment.run_all` runs them in the paper's setting and to rest,
+`experiment.rows` makes the table, `figure.figure` the picture.
 
 What the result says:
 
@@ -26,37 +26,3 @@ What the result says:
   are twice as even (`unevenness` .71 after 1.47) and the distance is .023. `fourier` stays at .048
   and 1.62. In this experiment global coupling is not what it takes to avoid collapse.
 """
-
-from chamfer_morph.reproduction.planar.config import (
-    PlanarConfig,
-    converged_setting,
-    paper_setting,
-)
-from chamfer_morph.reproduction.planar.experiment import (
-    PRINTED,
-    Experiment,
-    PlanarRow,
-    PlanarRun,
-    Printed,
-    experiments,
-    rows,
-    run,
-    run_all,
-)
-from chamfer_morph.reproduction.planar.figure import figure
-
-__all__ = [
-    "PRINTED",
-    "Experiment",
-    "PlanarConfig",
-    "PlanarRow",
-    "PlanarRun",
-    "Printed",
-    "converged_setting",
-    "experiments",
-    "figure",
-    "paper_setting",
-    "rows",
-    "run",
-    "run_all",
-]

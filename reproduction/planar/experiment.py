@@ -59,33 +59,19 @@ class Experiment:
     config: PlanarConfig
 
 
-@dataclass(frozen=True)
-class PlanarRow:
-    """A row of the table as plain data.
+@dataclass(frozen=True, kw_only=True)
+class PlanarRow(PlanarMetrics):
+    """A row of the table as plain data: its numbers, and what they are of.
 
     Attributes:
         name: Of the experiment; references are "start" and "even_spread".
         setting: "reference", "paper" or "converged".
-        cd: Two-sided Chamfer distance, a length.
-        coverage: Share of target points covered.
-        cluster_02: Share of source points with another closer than .02.
-        cluster_005: The same with .005.
-        targets_used: Share of target points that are the nearest of some source point.
-        crowded: Share of source points whose nearest target is that of two or more others.
-        unevenness: Deviation of the number of points per target over its mean, 0 if even.
-        steps: Optimiser steps.
+        steps: Optimizer steps.
         printed: What the paper prints for this strategy, if this is the paper's setting.
     """
 
     name: str
     setting: Setting
-    cd: float
-    coverage: float
-    cluster_02: float
-    cluster_005: float
-    targets_used: float
-    crowded: float
-    unevenness: float
     steps: int
     printed: Printed | None
 
@@ -127,9 +113,11 @@ def run(experiment: Experiment, *, snapshots: int = 31) -> PlanarRun:
     variables, points_of, pull_back = _parameterisation(config)
     kept = np.unique(np.linspace(0, config.steps, snapshots).round().astype(np.int64))
     trajectory = [points_of(variables)]
-    descent = Optimizer(config)
+    optimizer = Optimizer(config)
     for step in range(1, config.steps + 1):
-        variables = variables - descent(pull_back(_gradient(config, points_of(variables), target)))
+        variables = variables - optimizer(
+            pull_back(_gradient(config, points_of(variables), target))
+        )
         if step in kept:
             trajectory.append(points_of(variables))
     return PlanarRun(
@@ -189,7 +177,7 @@ def rows(runs: tuple[PlanarRun, ...]) -> tuple[PlanarRow, ...]:
 def _row(name: str, setting: Setting, numbers: PlanarMetrics, steps: int) -> PlanarRow:
     strategy = name.removesuffix("_clipped").removesuffix("_vector")
     printed = PRINTED[strategy] if setting == "paper" else None
-    return PlanarRow(name, setting, **vars(numbers), steps=steps, printed=printed)
+    return PlanarRow(**vars(numbers), name=name, setting=setting, steps=steps, printed=printed)
 
 
 def _parameterisation(

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 
-from chamfer_morph.reproduction.planar import PlanarRow, PlanarRun, figure, rows, run_all
+from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun, rows, run_all
+from chamfer_morph.reproduction.planar.figure import figure
 from chamfer_morph.reproduction.report.figures import ReportFigure, save
 from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
 from chamfer_morph.reproduction.report.tables import VERSION, Cell, csv_text, format_exact

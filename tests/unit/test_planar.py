@@ -9,22 +9,23 @@ import pytest
 from matplotlib.colors import LogNorm
 from scipy.spatial import cKDTree
 
-from chamfer_morph.reproduction.planar import (
-    PRINTED,
-    Experiment,
-    experiments,
-    figure,
-    rows,
-    run,
-    run_all,
-)
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
 from chamfer_morph.reproduction.planar.config import (
     PlanarConfig,
     converged_setting,
     paper_setting,
 )
-from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun
+from chamfer_morph.reproduction.planar.experiment import (
+    PRINTED,
+    Experiment,
+    PlanarRow,
+    PlanarRun,
+    experiments,
+    rows,
+    run,
+    run_all,
+)
+from chamfer_morph.reproduction.planar.figure import figure
 from chamfer_morph.reproduction.planar.fourier import FourierOutline
 from chamfer_morph.reproduction.planar.metrics import measure
 from chamfer_morph.reproduction.planar.optimizer import clip
