@@ -13,31 +13,31 @@ from typer.main import get_group
 from chamfer_morph.cli.exit_status import exit_status
 
 COMMANDS = {
-    "run": "run_commands",
-    "rerun": "run_commands",
-    "methods": "method_commands",
-    "shapes": "shape_commands",
-    "presets": "method_commands",
-    "inspect": "shape_commands",
-    "metrics": "shape_commands",
-    "bench": "benchmark_commands",
-    "reproduce": "reproduce_commands",
-    "export": "export_commands",
-    "render": "export_commands",
-    "submit": "job_commands",
-    "jobs": "job_commands",
-    "show": "job_commands",
-    "watch": "job_commands",
-    "cancel": "job_commands",
-    "retry": "job_commands",
-    "resume": "job_commands",
-    "delete": "job_commands",
-    "fetch": "job_commands",
-    "sweep": "sweep_commands",
-    "serve": "process_commands",
-    "worker": "process_commands",
-    "keys": "service_commands",
-    "workers": "service_commands",
+    "run": "run",
+    "rerun": "run",
+    "methods": "methods",
+    "shapes": "shapes",
+    "presets": "methods",
+    "inspect": "shapes",
+    "metrics": "shapes",
+    "bench": "benchmarks",
+    "reproduce": "reproduction",
+    "export": "exports",
+    "render": "exports",
+    "submit": "jobs",
+    "jobs": "jobs",
+    "show": "jobs",
+    "watch": "jobs",
+    "cancel": "jobs",
+    "retry": "jobs",
+    "resume": "jobs",
+    "delete": "jobs",
+    "fetch": "jobs",
+    "sweep": "sweeps",
+    "serve": "processes",
+    "worker": "processes",
+    "keys": "service",
+    "workers": "service",
 }
 """The module of each command, in the order of the help."""
 
@@ -53,7 +53,7 @@ class LazyGroup(TyperGroup):
         """The command of a name; None if there is none."""
         modules = {COMMANDS[cmd_name]} if cmd_name in COMMANDS else set(COMMANDS.values())
         for module in modules if cmd_name not in self.commands else ():
-            commands = import_module(f"chamfer_morph.cli.{module}").app
+            commands = import_module(f"chamfer_morph.cli.commands.{module}").app
             self.commands.update(get_group(commands).commands)
         return self.commands.get(cmd_name)
 

@@ -53,9 +53,9 @@ def test_help_needs_no_taichi():
 def test_a_command_imports_its_own_module_only():
     """`morph shapes` does not pay for the commands beside it."""
     code = "import sys, chamfer_morph.cli.app as c; c.app(['shapes'], standalone_mode=False); "
-    code += "sys.exit(' '.join(name for name in sys.modules if name.endswith('_commands')))"
+    code += "sys.exit(' '.join(name for name in sys.modules if '.cli.commands.' in name))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert outcome.stderr.split() == ["chamfer_morph.cli.shape_commands"]
+    assert outcome.stderr.split() == ["chamfer_morph.cli.commands.shapes"]
 
 
 def test_every_command_is_where_the_table_says():
@@ -63,7 +63,7 @@ def test_every_command_is_where_the_table_says():
     defined = {
         name: module
         for module in set(app.COMMANDS.values())
-        for name in get_group(import_module(f"chamfer_morph.cli.{module}").app).commands
+        for name in get_group(import_module(f"chamfer_morph.cli.commands.{module}").app).commands
     }
     assert defined == app.COMMANDS
 

@@ -17,7 +17,7 @@ def bench(context: typer.Context) -> None:
     """Measure speed against peers on this machine; further arguments go to the benchmarks."""
     import subprocess
 
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     if not (root / "benchmarks").is_dir():
         raise MorphError(
             "The benchmarks are part of the source, not of the installed package.",

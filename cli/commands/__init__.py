@@ -1,0 +1,1 @@
+"""The commands of `morph`, one file a group."""
