@@ -11,9 +11,9 @@ from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.grid import Grid, base_and_offset, flat_index, is_inside, row_index
 from morph_engine.mpm.private_grids import (
+    PrivateArrays,
     PrivateGrids,
-    chunk_bounds,
-    clear_touched_rows,
+    begin_chunk,
     sum_chunks,
     touching_chunks,
 )
@@ -42,8 +42,8 @@ class GridMass:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
         private = self._private
         _mass_to_grid(
-            x, private.partial, private.touched, self.nodes, self.point_count, self.point_mass,
-            private.chunk_count, private.chunk_size, self.grid, private.atomic,
+            x, private.arrays, self.nodes, self.point_mass,
+            private.task_count, private.chunk_count, private.chunk_size, self.grid, private.atomic,
         )  # fmt: skip
         return self.nodes
 
@@ -109,11 +109,10 @@ class GridMassLoss:
 @ti.kernel
 def _mass_to_grid(
     x: ti.types.ndarray(),
-    partial: ti.types.ndarray(),
-    touched: ti.types.ndarray(),
+    private: PrivateArrays,
     mass: ti.types.ndarray(),
-    count: int,
     point_mass: float,
+    task_count: int,
     chunk_count: int,
     chunk_size: int,
     grid: ti.template(),
@@ -123,38 +122,31 @@ def _mass_to_grid(
     width = ti.static(grid.width)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            partial[i] = 0.0
-    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
-    for task in range(chunk_count * stride):
-        if task % stride == 0:
-            chunk = task // stride
-            first, last = chunk_bounds(chunk, chunk_size, count)
-            offset = 0
-            if ti.static(not atomic):
-                offset = clear_touched_rows(chunk, first, last, x, touched, partial, grid)
-            for p in range(first, last):
-                base, u = base_and_offset(x[p], grid)
-                wx = b_spline.weights(u.x, width)
-                wy = b_spline.weights(u.y, width)
-                wz = b_spline.weights(u.z, width) * point_mass
-                corner = offset + flat_index(base, grid)
-                for i in range(width):
-                    for j in range(width):
-                        first = row_index(corner, i, j, grid)
-                        share = (wx[i] * wy[j]) * wz
-                        if ti.static(atomic):
-                            for k in ti.static(range(width)):
-                                ti.atomic_add(partial[first + k], share[k])
-                        else:
-                            total = ti.Vector([partial[first + k] for k in range(width)]) + share
-                            for k in ti.static(range(width)):
-                                partial[first + k] = total[k]
+            private.partial[i] = 0.0
+    for task in range(task_count):
+        first, last, offset = begin_chunk(task, chunk_size, x, private, grid, atomic)
+        for p in range(first, last):
+            base, u = base_and_offset(x[p], grid)
+            wx, wy = b_spline.weights(u.x, width), b_spline.weights(u.y, width)
+            wz = b_spline.weights(u.z, width) * point_mass
+            corner = offset + flat_index(base, grid)
+            for i in range(width):
+                for j in range(width):
+                    share = (wx[i] * wy[j]) * wz
+                    start = row_index(corner, i, j, grid)
+                    if ti.static(atomic):
+                        for k in ti.static(range(width)):
+                            ti.atomic_add(private.partial[start + k], share[k])
+                    else:
+                        row = ti.Vector([private.partial[start + k] for k in range(width)]) + share
+                        for k in ti.static(range(width)):
+                            private.partial[start + k] = row[k]
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, touched, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
         for i in range(row * grid.resolution, (row + 1) * grid.resolution):
             mass[i] = 0.0
             if chunks != 0 and is_inside(i, grid):
-                mass[i] = sum_chunks(i, chunks, partial, chunk_count, grid, atomic)
+                mass[i] = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
 
 
 @ti.kernel

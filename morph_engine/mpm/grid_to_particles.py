@@ -7,25 +7,19 @@ from morph_engine.mpm.constitutive import kirchhoff_stress, kirchhoff_stress_adj
 from morph_engine.mpm.faults import INVERTED, NON_FINITE, OUTSIDE, TOO_FAST
 from morph_engine.mpm.grid import base_and_offset, flat_index, row_index
 from morph_engine.mpm.particles_to_grid import join
+from morph_engine.mpm.state import AdjointArrays, StepArrays
 
 
 @ti.kernel
 def grid_to_particles(
-    x: ti.types.ndarray(),
-    F: ti.types.ndarray(),
-    U: ti.types.ndarray(),
-    nodes: ti.types.ndarray(),
-    x_next: ti.types.ndarray(),
-    v_next: ti.types.ndarray(),
-    C_next: ti.types.ndarray(),
-    F_next: ti.types.ndarray(),
+    step: StepArrays,
     faults: ti.types.ndarray(),
-    count: int,
     dt: float,
     smoothing: float,
     domain: float,
     largest_speed: float,
     grid: ti.template(),
+    scheme: ti.template(),
 ):
     """Grid velocity to the particles, and their update (algorithm 2.5).
 
@@ -33,8 +27,8 @@ def grid_to_particles(
     faster than `largest_speed`.
     """
     affine, dx, width = ti.static(grid.affine, grid.dx, grid.width)
-    for p in range(count):
-        base, u = base_and_offset(x[p], grid)
+    for p in range(step.x.shape[0]):
+        base, u = base_and_offset(step.x[p], grid)
         wx, wy = b_spline.weights(u.x, width), b_spline.weights(u.y, width)
         wz = b_spline.weights(u.z, width)
         corner = flat_index(base, grid)
@@ -43,42 +37,42 @@ def grid_to_particles(
         flow = stencil.zero_sums(4 * width)
         flow_x, flow_y = stencil.zero_sums(4 * width), stencil.zero_sums(4 * width)
         for i in range(width):
-            plane, plane_y = stencil.plane_moments(nodes, corner, i, wy, grid)
+            plane, plane_y = stencil.plane_moments(step.nodes, corner, i, wy, grid)
             stencil.accumulate(flow, memory, wx[i], plane)
             stencil.accumulate(flow_x, memory, wx[i] * (i - u.x), plane)
             stencil.accumulate(flow_y, memory, wx[i], plane_y)
-        v, by_x = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
+        v_new, by_x = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
         by_y, by_z = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
         for k in ti.static(range(width)):
             for c in ti.static(range(3)):
                 weighted = wz[k] * flow[memory, 4 * k + c]
-                v[c] += weighted
+                v_new[c] += weighted
                 by_x[c] += wz[k] * flow_x[memory, 4 * k + c]
                 by_y[c] += wz[k] * flow_y[memory, 4 * k + c]
                 by_z[c] += (k - 1) * weighted
-        by_y -= (u.y - 1) * v
-        by_z -= (u.z - 1) * v
-        C = (affine * dx) * ti.Matrix.cols([by_x, by_y, by_z])
-        position = x[p] + dt * v
-        F_old = F[p]
-        A = F_old + U[p]
-        F_new = (1 - smoothing) * (A + dt * (C @ A)) + smoothing * F_old
-        x_next[p] = position
-        v_next[p] = v
-        C_next[p] = C
-        F_next[p] = F_new
+        by_y -= (u.y - 1) * v_new
+        by_z -= (u.z - 1) * v_new
+        C_new = (affine * dx) * ti.Matrix.cols([by_x, by_y, by_z])
+        position = step.x[p] + dt * v_new
+        F_old = step.F[p]
+        A = F_old + step.U[p]
+        F_new = (1 - smoothing) * (A + dt * (C_new @ A)) + smoothing * F_old
+        step.x_next[p] = position
+        step.v_next[p] = v_new
+        step.C_next[p] = C_new
+        step.F_next[p] = F_new
         fault = 0
         reach = ti.abs(position).max()
         det = ti.min(F_new.determinant(), A.determinant())
         # Written so that NaN, for which every comparison is false, counts as a fault.
-        if not (reach + v.norm_sqr() + ti.abs(det) < 1e30):
+        if not (reach + v_new.norm_sqr() + ti.abs(det) < 1e30):
             fault = NON_FINITE
         else:
             if reach > domain:
                 fault |= OUTSIDE
             if det <= 0:
                 fault |= INVERTED
-            if v.norm_sqr() > largest_speed * largest_speed:
+            if v_new.norm_sqr() > largest_speed * largest_speed:
                 fault |= TOO_FAST
         if fault != 0:
             ti.atomic_or(faults[0], fault)
@@ -86,22 +80,8 @@ def grid_to_particles(
 
 @ti.kernel
 def grid_to_particles_adjoint(
-    x: ti.types.ndarray(),
-    v: ti.types.ndarray(),
-    C: ti.types.ndarray(),
-    F: ti.types.ndarray(),
-    U: ti.types.ndarray(),
-    R: ti.types.ndarray(),
-    C_next: ti.types.ndarray(),
-    v_next: ti.types.ndarray(),
-    volume: ti.types.ndarray(),
-    grid_bar: ti.types.ndarray(),
-    x_bar: ti.types.ndarray(),
-    v_bar: ti.types.ndarray(),
-    C_bar: ti.types.ndarray(),
-    F_bar: ti.types.ndarray(),
-    U_bar: ti.types.ndarray(),
-    count: int,
+    step: StepArrays,
+    adjoint: AdjointArrays,
     mass: float,
     lame_lambda: float,
     lame_mu: float,
@@ -109,34 +89,33 @@ def grid_to_particles_adjoint(
     drag: float,
     smoothing: float,
     smoothing_factor: float,
-    weight_drag: float,
-    control_carry: float,
     decay: float,
     grid: ti.template(),
-    model: ti.template(),
+    scheme: ti.template(),
 ):
     """Adjoint of one particle's step, in place: layer k+1 becomes layer k (algorithm 4.3, 4.4).
 
-    The three departures of the published adjoint are numbers: `smoothing_factor` (1 for (1 - s)),
-    `weight_drag` (0 leaves the drag out of the weight derivative), `control_carry` (1 adds s F_bar'
-    to the control gradient). `decay` multiplies the whole adjoint state afterwards.
+    `smoothing_factor` is (1 - s) in the exact adjoint, 1 in the published one; `decay` multiplies
+    the whole adjoint state afterwards.
     """
     affine, dx, width = ti.static(grid.affine, grid.dx, grid.width)
-    for p in range(count):
-        A = F[p] + U[p]
-        T = kirchhoff_stress(A, R[p], lame_lambda, lame_mu, model)
-        B = (-affine * dt * volume[p]) * T + mass * C[p]
-        F_bar_next = F_bar[p]
-        nu = v_bar[p] + dt * x_bar[p]
-        Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
-        momentum = (1 - weight_drag * dt * drag) * mass * v[p]
+    for p in range(step.x.shape[0]):
+        A = step.F[p] + step.U[p]
+        T = kirchhoff_stress(A, step.R[p], lame_lambda, lame_mu, scheme.model)
+        B = (-affine * dt * step.volume[p]) * T + mass * step.C[p]
+        F_bar_next = adjoint.F_bar[p]
+        nu = adjoint.v_bar[p] + dt * adjoint.x_bar[p]
+        Gamma = adjoint.C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
+        momentum = mass * step.v[p]
+        if ti.static(not scheme.adjoint.drop_drag):
+            momentum = (1 - dt * drag) * mass * step.v[p]
 
-        base, u = base_and_offset(x[p], grid)
+        base, u = base_and_offset(step.x[p], grid)
         wx, gx = b_spline.weights(u.x, width), b_spline.weight_derivatives(u.x, width)
         wy, gy = b_spline.weights(u.y, width), b_spline.weight_derivatives(u.y, width)
         wz, gz = b_spline.weights(u.z, width), b_spline.weight_derivatives(u.z, width)
         corner = flat_index(base, grid)
-        # The scalar of 4.3 at a node is the dot product of grid_bar with an affine function of it.
+        # The scalar of 4.3 at a node is the dot product of its nodes_bar with an affine function.
         by_x = join(B[:, 0] * dx, 0.0, Gamma[:, 0] * (affine * dx))
         by_y = join(B[:, 1] * dx, 0.0, Gamma[:, 1] * (affine * dx))
         by_z = join(B[:, 2] * dx, 0.0, Gamma[:, 2] * (affine * dx))
@@ -149,8 +128,8 @@ def grid_to_particles_adjoint(
         for i in range(width):
             for j in range(width):
                 first = row_index(corner, i, j, grid)
-                line, line_z = stencil.row_moments(grid_bar, first, wz, width)
-                slope, slope_z = stencil.row_moments(grid_bar, first, gz, width)
+                line, line_z = stencil.row_moments(adjoint.nodes_bar, first, wz, width)
+                slope, slope_z = stencil.row_moments(adjoint.nodes_bar, first, gz, width)
                 affine_ij = center + by_x * (i - u.x) + by_y * (j - u.y)
                 scalar = line * affine_ij + line_z * by_z
                 w = wx[i] * wy[j]
@@ -169,14 +148,20 @@ def grid_to_particles_adjoint(
             [stencil.total(e_x, memory), stencil.total(e_y, memory), stencil.total(e_z, memory)]
         )
 
-        T_bar = (-affine * dt * volume[p]) * Q
-        C_new = C_next[p]
-        A_bar = kirchhoff_stress_adjoint(A, R[p], T_bar, lame_lambda, lame_mu, model)
+        T_bar = (-affine * dt * step.volume[p]) * Q
+        C_new = step.C_next[p]
+        A_bar = kirchhoff_stress_adjoint(A, step.R[p], T_bar, lame_lambda, lame_mu, scheme.model)
         A_bar += (1 - smoothing) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
-        x_bar[p] = decay * (
-            x_bar[p] + e / dx - B.transpose() @ q - affine * (Gamma.transpose() @ v_next[p])
+        adjoint.x_bar[p] = decay * (
+            adjoint.x_bar[p]
+            + e / dx
+            - B.transpose() @ q
+            - affine * (Gamma.transpose() @ step.v_next[p])
         )
-        v_bar[p] = decay * (1 - dt * drag) * mass * q
-        C_bar[p] = decay * mass * Q
-        U_bar[p] = decay * (A_bar + control_carry * smoothing * F_bar_next)
-        F_bar[p] = decay * (A_bar + smoothing * F_bar_next)
+        adjoint.v_bar[p] = decay * (1 - dt * drag) * mass * q
+        adjoint.C_bar[p] = decay * mass * Q
+        control_bar = A_bar
+        if ti.static(scheme.adjoint.carry_control):
+            control_bar += smoothing * F_bar_next
+        adjoint.U_bar[p] = decay * control_bar
+        adjoint.F_bar[p] = decay * (A_bar + smoothing * F_bar_next)

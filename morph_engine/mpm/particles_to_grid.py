@@ -5,140 +5,111 @@ A node value is the vector (momentum or velocity, mass).
 
 import taichi as ti
 
-from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.constitutive import FIXED_COROTATED, kirchhoff_stress, rotation
 from morph_engine.mpm.grid import base_and_offset, flat_index, is_inside, row_index
 from morph_engine.mpm.private_grids import (
-    chunk_bounds,
-    clear_touched_rows,
+    PrivateArrays,
+    begin_chunk,
     sum_chunks,
     touching_chunks,
 )
+from morph_engine.mpm.state import AdjointArrays, StepArrays
 
 SMALLEST_MASS = 1e-12
 
 
 @ti.kernel
 def particles_to_grid(
-    x: ti.types.ndarray(),
-    v: ti.types.ndarray(),
-    C: ti.types.ndarray(),
-    F: ti.types.ndarray(),
-    U: ti.types.ndarray(),
-    R: ti.types.ndarray(),
-    volume: ti.types.ndarray(),
-    partial: ti.types.ndarray(),
-    touched: ti.types.ndarray(),
-    nodes: ti.types.ndarray(),
-    count: int,
+    step: StepArrays,
+    private: PrivateArrays,
     mass: float,
     lame_lambda: float,
     lame_mu: float,
     dt: float,
     drag: float,
+    task_count: int,
     chunk_count: int,
     chunk_size: int,
     grid: ti.template(),
-    model: ti.template(),
-    atomic: ti.template(),
+    scheme: ti.template(),
 ):
     """Momentum and mass of the particles to grid velocity and mass (algorithm 2.3, 2.4).
 
-    Leaves (velocity, mass) in `nodes` and, for the corotated law, the rotations in `R`.
+    Leaves (velocity, mass) in `step.nodes` and, for the corotated law, the rotations in `step.R`.
     """
-    affine = ti.static(grid.affine)
+    affine, atomic = ti.static(grid.affine, scheme.atomic)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            partial[i] = zero4()
-    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
-    for task in range(chunk_count * stride):
-        if task % stride == 0:
-            chunk = task // stride
-            first, last = chunk_bounds(chunk, chunk_size, count)
-            offset = 0
-            if ti.static(not atomic):
-                offset = clear_touched_rows(chunk, first, last, x, touched, partial, grid)
-            for p in range(first, last):
-                A = F[p] + U[p]
-                if ti.static(model == FIXED_COROTATED):
-                    R[p] = rotation(A)
-                T = kirchhoff_stress(A, R[p], lame_lambda, lame_mu, model)
-                B = (-affine * dt * volume[p]) * T + mass * C[p]
-                momentum = (1 - dt * drag) * mass * v[p]
-                scatter(partial, offset, x[p], momentum, B, mass, grid, atomic)
+            private.partial[i] = zero4()
+    for task in range(task_count):
+        first, last, offset = begin_chunk(task, chunk_size, step.x, private, grid, atomic)
+        for p in range(first, last):
+            A = step.F[p] + step.U[p]
+            if ti.static(scheme.model == FIXED_COROTATED):
+                step.R[p] = rotation(A)
+            T = kirchhoff_stress(A, step.R[p], lame_lambda, lame_mu, scheme.model)
+            B = (-affine * dt * step.volume[p]) * T + mass * step.C[p]
+            momentum = (1 - dt * drag) * mass * step.v[p]
+            scatter(private, offset, step.x[p], momentum, B, mass, grid, atomic)
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, touched, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
         if chunks != 0:  # no other row is ever read
             for i in range(row * grid.resolution, (row + 1) * grid.resolution):
-                node = sum_chunks(i, chunks, partial, chunk_count, grid, atomic)
+                node = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
                 m = node.w
                 if m > SMALLEST_MASS and is_inside(i, grid):
-                    nodes[i] = append(node.xyz / m, m)
+                    step.nodes[i] = append(node.xyz / m, m)
                 else:
-                    nodes[i] = zero4()
+                    step.nodes[i] = zero4()
 
 
 @ti.kernel
 def particles_to_grid_adjoint(
-    x: ti.types.ndarray(),
-    F: ti.types.ndarray(),
-    U: ti.types.ndarray(),
-    x_bar: ti.types.ndarray(),
-    v_bar: ti.types.ndarray(),
-    C_bar: ti.types.ndarray(),
-    F_bar: ti.types.ndarray(),
-    partial: ti.types.ndarray(),
-    touched: ti.types.ndarray(),
-    nodes: ti.types.ndarray(),
-    grid_bar: ti.types.ndarray(),
-    count: int,
+    step: StepArrays,
+    adjoint: AdjointArrays,
+    private: PrivateArrays,
     smoothing_factor: float,
     dt: float,
+    task_count: int,
     chunk_count: int,
     chunk_size: int,
     grid: ti.template(),
-    atomic: ti.template(),
+    scheme: ti.template(),
 ):
     """Adjoint of the grid step: Pi_bar and M_bar from the particles (algorithm 4.1, 4.2).
 
-    `grid_bar` receives (Pi_bar, M_bar, v, 0), what `grid_to_particles_adjoint` reads of a node.
+    `nodes_bar` receives (Pi_bar, M_bar, v, 0), what `grid_to_particles_adjoint` reads of a node.
     `smoothing_factor` is (1 - s) in the exact adjoint, 1 in the published one.
     """
-    affine = ti.static(grid.affine)
+    affine, atomic = ti.static(grid.affine, scheme.atomic)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            partial[i] = zero4()
-    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
-    for task in range(chunk_count * stride):
-        if task % stride == 0:
-            chunk = task // stride
-            first, last = chunk_bounds(chunk, chunk_size, count)
-            offset = 0
-            if ti.static(not atomic):
-                offset = clear_touched_rows(chunk, first, last, x, touched, partial, grid)
-            for p in range(first, last):
-                nu = v_bar[p] + dt * x_bar[p]
-                A = F[p] + U[p]
-                Gamma = C_bar[p] + (smoothing_factor * dt) * (F_bar[p] @ A.transpose())
-                scatter(partial, offset, x[p], nu, affine * Gamma, 0.0, grid, atomic)
+            private.partial[i] = zero4()
+    for task in range(task_count):
+        first, last, offset = begin_chunk(task, chunk_size, step.x, private, grid, atomic)
+        for p in range(first, last):
+            nu = adjoint.v_bar[p] + dt * adjoint.x_bar[p]
+            A = step.F[p] + step.U[p]
+            Gamma = adjoint.C_bar[p] + (smoothing_factor * dt) * (adjoint.F_bar[p] @ A.transpose())
+            scatter(private, offset, step.x[p], nu, affine * Gamma, 0.0, grid, atomic)
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, touched, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
         if chunks != 0:  # no other row is ever read
             for i in range(row * grid.resolution, (row + 1) * grid.resolution):
-                v_node = nodes[i]
+                v_node = step.nodes[i]
                 if v_node.w > SMALLEST_MASS:
-                    node = sum_chunks(i, chunks, partial, chunk_count, grid, atomic)
+                    node = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
                     Pi_bar = node.xyz / v_node.w
                     M_bar = -v_node.xyz.dot(Pi_bar)
-                    grid_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
+                    adjoint.nodes_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
                 else:
-                    grid_bar[i] = ti.Vector.zero(float, 8)
+                    adjoint.nodes_bar[i] = ti.Vector.zero(float, 8)
 
 
 @ti.func
 def scatter(
-    partial: ti.template(),
+    private: ti.template(),
     offset: int,
     position,
     constant,
@@ -166,7 +137,7 @@ def scatter(
             share = w * along_z + ti.Vector(
                 [wz[k] * across[c] for k in range(width) for c in range(4)]
             )
-            stencil.add_row(partial, row_index(corner, i, j, grid), share, width, atomic)
+            stencil.add_row(private.partial, row_index(corner, i, j, grid), share, width, atomic)
 
 
 @ti.func

@@ -10,7 +10,11 @@ from typing import Any
 import taichi as ti
 
 from morph_engine import backend
+from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm.grid import Grid, base_and_offset
+
+PrivateArrays = ti.types.argpack(partial=ti.types.ndarray(), touched=ti.types.ndarray())
+"""Node values of all private grids, and the box of rows that each chunk touches."""
 
 
 class PrivateGrids:
@@ -26,18 +30,37 @@ class PrivateGrids:
         device = backend.active()
         self.atomic: bool = not device.on_cpu
         self.chunk_count, self.chunk_size = device.chunks(particle_count)
-        grids = self.chunk_count if device.on_cpu else 1
-        node_count = grids * grid.node_count
-        self.partial: Any = (
-            device.scalars(node_count) if values == 1 else device.vectors(node_count, values)
+        self.task_count = self.chunk_count * (1 if self.atomic else CPU_CHUNK_STRIDE)
+        grids = 1 if self.atomic else self.chunk_count
+        count = grids * grid.node_count
+        self.arrays: Any = PrivateArrays(
+            partial=device.scalars(count) if values == 1 else device.vectors(count, values),
+            touched=device.integer_vectors(grids, 4),
         )
-        self.touched: Any = device.integer_vectors(grids, 4)
 
 
 @ti.func
-def chunk_bounds(chunk: int, chunk_size: int, count: int):
-    """First and one-past-last item of a chunk."""
-    return ti.min(chunk * chunk_size, count), ti.min((chunk + 1) * chunk_size, count)
+def begin_chunk(
+    task: int,
+    chunk_size: int,
+    x: ti.template(),
+    private: ti.template(),
+    grid: ti.template(),
+    atomic: ti.template(),
+):
+    """First and one-past-last particle of a task, and the offset of its cleared private grid.
+
+    Of CPU_CHUNK_STRIDE tasks one has particles, so that each chunk is a thread's own.
+    """
+    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
+    first, last, offset = 0, 0, 0
+    if task % stride == 0:
+        chunk = task // stride
+        first = ti.min(chunk * chunk_size, x.shape[0])
+        last = ti.min((chunk + 1) * chunk_size, x.shape[0])
+        if ti.static(not atomic):
+            offset = clear_touched_rows(chunk, first, last, x, private, grid)
+    return first, last, offset
 
 
 @ti.func
@@ -46,8 +69,7 @@ def clear_touched_rows(
     first: int,
     last: int,
     x: ti.template(),
-    touched: ti.template(),
-    partial: ti.template(),
+    private: ti.template(),
     grid: ti.template(),
 ):
     """Clear the rows of a chunk's private grid that its points reach; returns its offset."""
@@ -57,31 +79,31 @@ def clear_touched_rows(
         base, _ = base_and_offset(x[p], grid)
         low = ti.min(low, base.xy)
         high = ti.max(high, base.xy + width - 1)
-    touched[chunk] = ti.Vector([low.x, high.x, low.y, high.y])
+    private.touched[chunk] = ti.Vector([low.x, high.x, low.y, high.y])
     offset = chunk * nodes**3
     for i in range(low.x, high.x + 1):
         plane = offset + i * nodes**2
         for node in range(plane + low.y * nodes, plane + (high.y + 1) * nodes):
-            partial[node] = ti.zero(partial[node])
+            private.partial[node] = ti.zero(private.partial[node])
     return offset
 
 
 @ti.func
 def touching_chunks(
     row: int,
-    touched: ti.template(),
+    private: ti.template(),
     chunk_count: int,
     grid: ti.template(),
     atomic: ti.template(),
 ):
-    """The chunks that claimed a row of nodes along z, as bits; 0 where no particle reaches."""
+    """The chunks that touch a row of nodes along z, as bits; 0 where no particle reaches."""
     chunks = 1
     if ti.static(not atomic):
         x, y = row // grid.resolution, row % grid.resolution
         chunks = 0
         for chunk in range(chunk_count):
-            claim = touched[chunk]
-            if claim[0] <= x and x <= claim[1] and claim[2] <= y and y <= claim[3]:
+            box = private.touched[chunk]
+            if box[0] <= x and x <= box[1] and box[2] <= y and y <= box[3]:
                 chunks |= 1 << chunk
     return chunks
 
@@ -90,16 +112,16 @@ def touching_chunks(
 def sum_chunks(
     i: int,
     chunks: int,
-    partial: ti.template(),
+    private: ti.template(),
     chunk_count: int,
     grid: ti.template(),
     atomic: ti.template(),
 ):
     """Sum node i over the private grids of the chunks given as bits, in their order."""
-    total = partial[i]
+    total = private.partial[i]
     if ti.static(not atomic):
         total = ti.zero(total)
         for chunk in range(chunk_count):
             if chunks >> chunk & 1:
-                total += partial[chunk * grid.node_count + i]
+                total += private.partial[chunk * grid.node_count + i]
     return total

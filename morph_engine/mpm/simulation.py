@@ -13,7 +13,8 @@ from morph_engine.mpm.grid import Grid
 from morph_engine.mpm.grid_to_particles import grid_to_particles, grid_to_particles_adjoint
 from morph_engine.mpm.particles_to_grid import particles_to_grid, particles_to_grid_adjoint
 from morph_engine.mpm.private_grids import PrivateGrids
-from morph_engine.mpm.state import Layer, Transition
+from morph_engine.mpm.scheme import EXACT, PUBLISHED, AdjointFlags, Scheme
+from morph_engine.mpm.state import AdjointArrays, Layer, StepArrays, Transition
 
 
 @dataclass(frozen=True)
@@ -32,25 +33,6 @@ class Material:
     lame_mu: float
     particle_mass: float
     drag: float
-
-
-@dataclass(frozen=True)
-class AdjointFlags:
-    """Three departures of the published program from the exact adjoint (algorithm 4.6).
-
-    Attributes:
-        drop_smoothing: Leave (1 - s) out of the path from F to C.
-        carry_control: Add s F_bar' to the control gradient.
-        drop_drag: Leave the drag out of the derivative of the weights.
-    """
-
-    drop_smoothing: bool = False
-    carry_control: bool = False
-    drop_drag: bool = False
-
-
-EXACT = AdjointFlags()
-PUBLISHED = AdjointFlags(drop_smoothing=True, carry_control=True, drop_drag=True)
 
 
 class Simulation:
@@ -87,7 +69,6 @@ class Simulation:
         self.dt = dt
         self.domain = domain
         self.largest_cells_per_step = largest_cells_per_step
-        self.adjoint = adjoint
         self.smoothing = 0.0
         rotations = material.model == FIXED_COROTATED
         self.layers = [Layer(n) for _ in range(transitions + 1)]
@@ -96,9 +77,11 @@ class Simulation:
         ]
         self.volume = device.upload(rest_volume)
         self.bar = Layer(n)
-        self.private = PrivateGrids(n, grid)
-        self._grid_bar = device.vectors(grid.node_count, 8)
+        self._private = PrivateGrids(n, grid)
+        self._scheme = Scheme(material.model, self._private.atomic, adjoint)
+        self._nodes_bar = device.vectors(grid.node_count, 8)
         self._faults = device.integers(1)
+        self._packs: dict[tuple[Any, int], Any] = {}
 
     @property
     def last(self) -> Layer:
@@ -111,20 +94,19 @@ class Simulation:
         Returns:
             Fault bits (`faults.NON_FINITE`, ...) of all these steps; 0 when all is well.
         """
-        p, private = self.material, self.private
+        p, private = self.material, self._private
+        largest_speed = self.largest_cells_per_step * self.grid.dx / self.dt
         self._faults[0] = 0
         for k in range(first, len(self.transitions)):
-            here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
+            step = self._step(k)
             particles_to_grid(
-                here.x, here.v, here.C, here.F, step.U, step.R, self.volume,
-                private.partial, private.touched, step.nodes,
-                self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
-                private.chunk_count, private.chunk_size, self.grid, p.model, private.atomic,
+                step, private.arrays, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
+                private.task_count, private.chunk_count, private.chunk_size,
+                self.grid, self._scheme,
             )  # fmt: skip
             grid_to_particles(
-                here.x, here.F, step.U, step.nodes, there.x, there.v, there.C, there.F,
-                self._faults, self.particle_count, self.dt, self.smoothing, self.domain,
-                self.largest_cells_per_step * self.grid.dx / self.dt, self.grid,
+                step, self._faults, self.dt, self.smoothing, self.domain, largest_speed,
+                self.grid, self._scheme,
             )  # fmt: skip
         return int(self._faults[0])
 
@@ -138,24 +120,48 @@ class Simulation:
             last: The lowest layer to reach.
             decay: Factor on the whole adjoint state after every transition (algorithm 7.3 H1).
         """
-        p, private, flags = self.material, self.private, self.adjoint
-        factor = 1.0 if flags.drop_smoothing else 1.0 - self.smoothing
-        bar = self.bar
+        p, private = self.material, self._private
+        factor = 1.0 if self._scheme.adjoint.drop_smoothing else 1.0 - self.smoothing
         for k in reversed(range(last, len(self.transitions))):
-            here, there, step = self.layers[k], self.layers[k + 1], self.transitions[k]
+            step, bar = self._step(k), self._adjoint(k)
             particles_to_grid_adjoint(
-                here.x, here.F, step.U, bar.x, bar.v, bar.C, bar.F,
-                private.partial, private.touched, step.nodes, self._grid_bar,
-                self.particle_count, factor, self.dt,
-                private.chunk_count, private.chunk_size, self.grid, private.atomic,
+                step, bar, private.arrays, factor, self.dt,
+                private.task_count, private.chunk_count, private.chunk_size,
+                self.grid, self._scheme,
             )  # fmt: skip
             grid_to_particles_adjoint(
-                here.x, here.v, here.C, here.F, step.U, step.R, there.C, there.v, self.volume,
-                self._grid_bar, bar.x, bar.v, bar.C, bar.F, step.U_bar,
-                self.particle_count, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
-                self.smoothing, factor, 0.0 if flags.drop_drag else 1.0,
-                1.0 if flags.carry_control else 0.0, decay, self.grid, p.model,
+                step, bar, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
+                self.smoothing, factor, decay, self.grid, self._scheme,
             )  # fmt: skip
+
+    def _step(self, k: int) -> Any:
+        """The arrays of time step k; layers and controls may have been exchanged."""
+        here, there, transition = self.layers[k], self.layers[k + 1], self.transitions[k]
+        return self._packed(
+            StepArrays, k,
+            x=here.x, v=here.v, C=here.C, F=here.F,
+            x_next=there.x, v_next=there.v, C_next=there.C, F_next=there.F,
+            U=transition.U, R=transition.R, nodes=transition.nodes, volume=self.volume,
+        )  # fmt: skip
+
+    def _adjoint(self, k: int) -> Any:
+        """The gradients that the adjoint of time step k works on."""
+        bar = self.bar
+        return self._packed(
+            AdjointArrays, k,
+            x_bar=bar.x, v_bar=bar.v, C_bar=bar.C, F_bar=bar.F,
+            U_bar=self.transitions[k].U_bar, nodes_bar=self._nodes_bar,
+        )  # fmt: skip
+
+    def _packed(self, kind: Any, k: int, **arrays: Any) -> Any:
+        """Arrays as one argument; packs are kept, for making one takes a tenth of a millisecond."""
+        pack = self._packs.get((kind, k))
+        if pack is None:
+            pack = self._packs[kind, k] = kind(**arrays)
+        for name, array in arrays.items():
+            if pack[name] is not array:
+                pack[name] = array
+        return pack
 
 
 __all__ = [
