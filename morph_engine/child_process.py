@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 import threading
 from pathlib import Path
@@ -55,3 +56,12 @@ def lower_priority() -> None:
     os.nice(NICENESS)
     with contextlib.suppress(OSError):
         Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
+
+
+def describe_exit(status: int) -> str:
+    """How a process ended: the name of the signal, or its exit status.
+
+    Args:
+        status: As `subprocess.Popen.returncode`.
+    """
+    return signal.Signals(-status).name if status < 0 else f"exit status {status}"

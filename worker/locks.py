@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 import psycopg
 import sqlalchemy as sa
@@ -21,19 +21,7 @@ SILENCE_SECONDS = 15
 WAIT_SECONDS = 0.2
 
 
-class Lock(Protocol):
-    """A lock that is held."""
-
-    def held(self) -> bool:
-        """Whether it still is; asking keeps it alive."""
-        ...
-
-    def release(self) -> None:
-        """Give it back."""
-        ...
-
-
-def try_lock(settings: Settings, executor: str) -> Lock | None:
+def try_lock(settings: Settings, executor: str) -> FileLock | AdvisoryLock | None:
     """The lock of a worker slot, or None while somebody holds it.
 
     Raises:
@@ -45,7 +33,9 @@ def try_lock(settings: Settings, executor: str) -> Lock | None:
     return FileLock(file) if file else None
 
 
-def wait_for_lock(settings: Settings, executor: str, seconds: float) -> Lock | None:
+def wait_for_lock(
+    settings: Settings, executor: str, seconds: float
+) -> FileLock | AdvisoryLock | None:
     """The lock of a worker slot, or None where somebody holds it for longer than this [s].
 
     Raises:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from morph_engine.child_process import python_command
+from morph_engine.child_process import describe_exit, python_command
 
 POLL_SECONDS = 0.1
 STOP_SECONDS = 8.0
@@ -58,7 +58,8 @@ class SupervisedProcess:
                 longer = max(2 * self._pause, FIRST_PAUSE_SECONDS)
                 self._pause = min(longer, LONGEST_PAUSE_SECONDS)
             self._start_at = time.monotonic() + self._pause
-            log(f"{self.name} ended ({_ending(status)}); it starts again in {self._pause:g} s.")
+            how = describe_exit(status)
+            log(f"{self.name} ended ({how}); it starts again in {self._pause:g} s.")
         if time.monotonic() >= self._start_at:
             self._start()
 
@@ -155,7 +156,3 @@ def _die_with_parent(parent: int) -> Callable[[], None]:
             os._exit(1)
 
     return prepare
-
-
-def _ending(status: int) -> str:
-    return signal.Signals(-status).name if status < 0 else f"exit status {status}"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import math
 import os
 import sys
+import time
 from typing import Any
 
 import psutil
@@ -22,52 +24,34 @@ ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph", "morph_engine.
 """What the engine imports when it first needs it: memory of the program, not of a task."""
 
 
-class Channel:
-    """The way back to the parent: standard output, on which nobody else writes from now on."""
-
-    def __init__(self) -> None:
-        self._stream = os.fdopen(os.dup(1), "wb")
-        os.dup2(2, 1)
-
-    def report_progress(self, share: float) -> None:
-        """Tell how far the task has come, from 0 to 1."""
-        self._send(progress=share)
-
-    def fail(self, error: MorphError) -> None:
-        """Tell why it cannot be done."""
-        kind = type(error).__name__
-        self._send(error={"type": kind, "cause": error.cause, "remedy": error.remedy})
-
-    def answer(self, answer: Answer) -> None:
-        """Tell what has come of it."""
-        self._send(answer=answer.value, binary_bytes=len(answer.binary))
-        self._stream.write(answer.binary)
-        self._stream.flush()
-
-    def _send(self, **message: Any) -> None:
-        self._stream.write(to_json(message) + b"\n")
-        self._stream.flush()
-
-
 def main(module: str) -> None:
-    """Run a task within limits; memory that the program has before it begins is free."""
+    """Run a task within limits; memory and time of the program before it begins are free."""
     request = json.loads(sys.stdin.buffer.readline())
     exit_with_parent(ExitCode.ORPHANED)
-    channel = Channel()
+    channel = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no part of the answer
+
+    def send(message: dict[str, Any], binary: bytes = b"") -> None:
+        channel.write(to_json(message) + b"\n" + binary)
+        channel.flush()
+
     function = importlib.import_module(module).run
     for name in ENGINE_IMPORTS:
         importlib.import_module(name)
     arguments = request["arguments"]
     if "report_progress" in inspect.signature(function).parameters:
-        arguments["report_progress"] = channel.report_progress
+        arguments["report_progress"] = lambda share: send({"progress": share})
     enforce(Limits(**request["limits"]))
     try:
         answer = validate_call(function)(**arguments)
-        channel.answer(answer if isinstance(answer, Answer) else Answer(answer))
+        if not isinstance(answer, Answer):
+            answer = Answer(answer)
+        send({"answer": answer.value, "binary_bytes": len(answer.binary)}, answer.binary)
     except MemoryError:
         sys.exit(ExitCode.OUT_OF_MEMORY)
     except MorphError as error:
-        channel.fail(error)
+        kind = type(error).__name__
+        send({"error": {"type": kind, "cause": error.cause, "remedy": error.remedy}})
 
 
 def enforce(limits: Limits) -> None:
@@ -78,7 +62,8 @@ def enforce(limits: Limits) -> None:
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (limits.file_bytes, limits.file_bytes))
-    resource.setrlimit(resource.RLIMIT_CPU, (limits.cpu_seconds, limits.cpu_seconds + 1))
+    seconds = limits.cpu_seconds + math.ceil(time.process_time())
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     if sys.platform != "darwin":  # which does not enforce it
         memory = limits.memory_bytes + psutil.Process().memory_info().vms
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

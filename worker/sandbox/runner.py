@@ -22,7 +22,7 @@ from typing import IO, Any
 from pydantic_core import to_json
 
 from chamfer_morph.worker.exit_codes import ExitCode
-from morph_engine.child_process import python_command
+from morph_engine.child_process import describe_exit, python_command
 from morph_engine.errors import MorphError, ResourceError, ResultError
 
 MAX_THREADS = 4
@@ -58,7 +58,7 @@ class Limits:
 
     Attributes:
         memory_bytes: Memory beyond that of the program itself [bytes].
-        cpu_seconds: CPU time, summed over threads [s].
+        cpu_seconds: CPU time beyond that of the imports, summed over threads [s].
         file_bytes: Size of any file that it writes [bytes].
         threads: Threads of the libraries that it calls.
     """
@@ -153,8 +153,7 @@ def run(
     finally:
         alarm.cancel()
     if late.is_set() or -status == signal.SIGXCPU:
-        amount = f"{limits.cpu_seconds} s"
-        raise _too_much(wording, amount)
+        raise _too_much(wording, f"{limits.cpu_seconds} s")
     if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in stderr_tail):
         raise _too_much(wording, f"{limits.memory_bytes >> 20} MiB of memory")
     if -status == signal.SIGKILL:
@@ -163,7 +162,7 @@ def run(
             "Ask again; if it is killed again, the machine has too little memory.",
         )
     if status or answer is None:
-        how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+        how = describe_exit(status)
         log.warning("%s: %s: %s", task, how, stderr_tail.decode(errors="replace"))
         raise CrashedError(wording.subject, how)
     if isinstance(answer, MorphError):
