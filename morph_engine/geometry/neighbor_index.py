@@ -28,6 +28,11 @@ SLACK = 1.0 + 1e-5  # a box is left out only beyond this, so that rounding never
 TINY = 1e-30  # keeps the search radius around a perfect match open
 REACH_BITS = int(np.float32(REACH).view(np.int32))
 
+TreeArrays = ti.types.argpack(
+    **dict.fromkeys(("leaf_of", "order", "leaf_points", "lower", "upper"), ti.types.ndarray())
+)
+"""Where each point lies, the points leaf by leaf, and the boxes of the nodes."""
+
 
 @ti.func
 def within_reach(point):
@@ -150,11 +155,7 @@ def search(
     queries: ti.types.ndarray(),
     visit: ti.types.ndarray(),
     guess: ti.types.ndarray(),
-    leaf_of: ti.types.ndarray(),
-    order: ti.types.ndarray(),
-    leaf_points: ti.types.ndarray(),
-    lower: ti.types.ndarray(),
-    upper: ti.types.ndarray(),
+    tree: TreeArrays,
     index_out: ti.types.ndarray(),
     distance_out: ti.types.ndarray(),
 ):
@@ -182,13 +183,13 @@ def search(
         trail = 1
         if ti.static(guided):
             first_guess = guess[query_at(packet * lanes, lanes, visit, query_count)]
-            if 0 <= first_guess < leaf_of.shape[0]:
-                node = leaf_of[first_guess]
+            if 0 <= first_guess < tree.leaf_of.shape[0]:
+                node = tree.leaf_of[first_guess]
                 trail = 2 * leaf_count - 1
 
         while node > 0:
-            low = lower[node]
-            high = upper[node]
+            low = tree.lower[node]
+            high = tree.upper[node]
             gap_x = gap(low[0], high[0], x)
             gap_y = gap(low[1], high[1], y)
             gap_z = gap(low[2], high[2], z)
@@ -198,8 +199,8 @@ def search(
                 wanted |= ti.cast(excess[lane] <= 0.0, ti.i32)
 
             if wanted != 0 and node < leaf_count:
-                left = gap(lower[2 * node], upper[2 * node], middle)
-                right = gap(lower[2 * node + 1], upper[2 * node + 1], middle)
+                left = gap(tree.lower[2 * node], tree.upper[2 * node], middle)
+                right = gap(tree.lower[2 * node + 1], tree.upper[2 * node + 1], middle)
                 node = 2 * node + ti.cast(right.norm_sqr() < left.norm_sqr(), ti.i32)
                 trail = 2 * trail + 1
             else:
@@ -208,13 +209,13 @@ def search(
                     nearest = ti.Vector([NO_MATCH] * lanes)
                     first = (node - leaf_count) * LEAF_SIZE
                     for slot in range(first, first + LEAF_SIZE):
-                        dx = x - leaf_points[slot][0]
-                        dy = y - leaf_points[slot][1]
-                        dz = z - leaf_points[slot][2]
+                        dx = x - tree.leaf_points[slot][0]
+                        dy = y - tree.leaf_points[slot][1]
+                        dz = z - tree.leaf_points[slot][2]
                         squared = dx * dx + dy * dy + dz * dz
                         closer = squared < near
                         near = ti.select(closer, squared, near)
-                        nearest = ti.select(closer, order[slot], nearest)
+                        nearest = ti.select(closer, tree.order[slot], nearest)
                     tie = (near == best) & (nearest < match)
                     match = ti.select((near < best) | tie, nearest, match)
                     best = ti.select(near < best, near, best)
@@ -252,6 +253,13 @@ class NeighborIndex:
         self._leaf_points = device.vectors(self._leaf_count * LEAF_SIZE)
         self._lower = device.vectors(2 * self._leaf_count)
         self._upper = device.vectors(2 * self._leaf_count)
+        self._tree = TreeArrays(
+            leaf_of=self._leaf_of,
+            order=self._order,
+            leaf_points=self._leaf_points,
+            lower=self._lower,
+            upper=self._upper,
+        )
         self._cell_end = device.integers(1 << 3 * CELL_BITS)
         self._cell = self._visit = device.integers(1)
         self.rebuild(points)
@@ -328,11 +336,7 @@ class NeighborIndex:
             queries,
             self._visit,
             index_out if guess is None else guess,
-            self._leaf_of,
-            self._order,
-            self._leaf_points,
-            self._lower,
-            self._upper,
+            self._tree,
             index_out,
             distance_out,
         )

@@ -16,6 +16,13 @@ STATIONARY_STEP = (1e-4, 1e-3)  # below this the update is damped
 STATIONARY_DAMPING = 0.2
 
 
+UpdateArrays = ti.types.argpack(
+    **dict.fromkeys(("control", "first", "second", "largest"), ti.types.ndarray()),
+    **dict.fromkeys(("control_new", "first_new", "second_new", "largest_new"), ti.types.ndarray()),
+)
+"""Control and moments of a layer, as committed and as tried."""
+
+
 class Norm:
     """Frobenius norm of matrices on the device, summed in a fixed order."""
 
@@ -39,17 +46,18 @@ class LayerOptimizer:
     def __init__(self, particle_count: int, config: OptimizerConfig) -> None:
         device = backend.active()
         self._config = config
-        self._kept = [device.matrices(particle_count) for _ in range(4)]
-        self._trial = [device.matrices(particle_count) for _ in range(4)]
+        states = [[device.matrices(particle_count) for _ in range(4)] for _ in range(2)]
+        self._states, self._committed = states, 0
+        self._updates = [UpdateArrays(*a, *b) for a, b in (states, reversed(states))]
 
     @property
     def kept(self) -> Any:
         """The committed control U, shape [n, 3, 3]."""
-        return self._kept[0]
+        return self._states[self._committed][0]
 
     def reset(self) -> None:
         """Zero control and moments, as at the start of a frame."""
-        for array in self._kept:
+        for array in self._states[self._committed]:
             array.fill(0)
 
     def try_step(self, gradient: Any, norm: float, step: float, count: int) -> Any:
@@ -66,14 +74,14 @@ class LayerOptimizer:
         """
         c = self._config
         _adam(
-            gradient, *self._kept, *self._trial, 1.0 / norm, step, c.beta1, c.beta2, c.epsilon,
+            gradient, self._updates[self._committed], 1.0 / norm, step, c.beta1, c.beta2, c.epsilon,
             1.0 / (1.0 - c.beta1**count), 1.0 / (1.0 - c.beta2**count),
         )  # fmt: skip
-        return self._trial[0]
+        return self._states[1 - self._committed][0]
 
     def accept(self) -> None:
         """Commit the trial."""
-        self._kept, self._trial = self._trial, self._kept
+        self._committed = 1 - self._committed
 
 
 @ti.kernel
@@ -91,14 +99,7 @@ def _square_sums(matrices: ti.types.ndarray(), sums: ti.types.ndarray()):
 @ti.kernel
 def _adam(
     gradient: ti.types.ndarray(),
-    control: ti.types.ndarray(),
-    first: ti.types.ndarray(),
-    second: ti.types.ndarray(),
-    largest: ti.types.ndarray(),
-    control_new: ti.types.ndarray(),
-    first_new: ti.types.ndarray(),
-    second_new: ti.types.ndarray(),
-    largest_new: ti.types.ndarray(),
+    update: UpdateArrays,
     scale: float,
     step: float,
     beta1: float,
@@ -109,11 +110,11 @@ def _adam(
 ):
     for p in range(gradient.shape[0]):
         g = gradient[p] * scale
-        m = beta1 * first[p] + (1 - beta1) * g
-        a = beta2 * second[p] + (1 - beta2) * (g * g)
-        u = ti.max(largest[p], a * correction2)
+        m = beta1 * update.first[p] + (1 - beta1) * g
+        a = beta2 * update.second[p] + (1 - beta2) * (g * g)
+        u = ti.max(update.largest[p], a * correction2)
         direction = (m * correction1) / (ti.max(ti.sqrt(u), 1e-8) + epsilon)
-        old = control[p]
+        old = update.control[p]
         size = ti.max(1.0, old.norm())
         length = step * direction.norm()
         cap = ti.max(LARGEST_STEP[0], LARGEST_STEP[1] * size)
@@ -122,7 +123,7 @@ def _adam(
             change *= cap / length
         if length <= ti.max(STATIONARY_STEP[0], STATIONARY_STEP[1] * size):
             change *= STATIONARY_DAMPING
-        control_new[p] = old - change
-        first_new[p] = m
-        second_new[p] = a
-        largest_new[p] = u
+        update.control_new[p] = old - change
+        update.first_new[p] = m
+        update.second_new[p] = a
+        update.largest_new[p] = u
