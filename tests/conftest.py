@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 import subprocess
+import tarfile
 import tempfile
 import uuid
 from collections.abc import Callable, Iterator
@@ -134,3 +135,16 @@ def _answers(url: str) -> bool:
     except psycopg.OperationalError:
         return False
     return True
+
+
+@pytest.fixture
+def version_0_1_0(tmp_path: Path) -> Path:
+    """A folder of what version 0.1.0 left behind.
+
+    METHOD.vtkhdf of three frames, METHOD-unfinished.vtkhdf.spool of two, for `transport`, `joint`
+    and `dco`, computed on one thread; and `data`, the folder of a service with three jobs.
+    """
+    folder = tmp_path / "version_0_1_0"
+    with tarfile.open(Path(__file__).parent / "data" / "version_0_1_0" / "files.tar.xz") as archive:
+        archive.extractall(folder, filter="data")
+    return folder
