@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
 from chamfer_morph.cli.output import print_result
 from morph_engine.errors import ConfigError
@@ -22,6 +23,21 @@ Fit = Literal["volume", "extent", "none"]
 
 TargetArgument = Annotated[str, typer.Argument(metavar="TARGET", help="What it is to become.")]
 MethodOption = Annotated[str | None, typer.Option(help="See morph methods.")]
+
+
+class MethodCommand(TyperCommand):
+    """A command with the option `--method`, whose help names the methods that are installed."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help; only this needs the methods."""
+        from morph_engine.methods import names
+
+        for option in self.params:
+            if option.name == "method" and isinstance(option, TyperOption):
+                option.help = f"One of {', '.join(names())}; see morph methods."
+        super().format_help(ctx, formatter)
+
+
 SeedOption = Annotated[int | None, typer.Option(help="Seed of every random choice.")]
 DeviceOption = Annotated[
     Literal["auto", "cpu", "cuda", "vulkan", "metal"], typer.Option(help="Where to compute.")

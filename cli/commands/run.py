@@ -18,6 +18,7 @@ from chamfer_morph.cli.options import (
     ConfigOptions,
     DeviceOption,
     JsonOption,
+    MethodCommand,
     MethodOption,
     QuietOption,
     ResultFileOption,
@@ -61,7 +62,7 @@ class ExecutionOptions:
         )
 
 
-@app.command()
+@app.command(cls=MethodCommand)
 @expand_groups
 def run(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=SHAPE_HELP)],
