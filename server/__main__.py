@@ -68,7 +68,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     api_keys = _api_keys(settings)
     if arguments.command == "keys":
         return _manage_keys(arguments, api_keys)
-    from chamfer_morph.server.listener import check_keys, listen
+    from chamfer_morph.server.auth import check_keys
 
     check_keys(settings, api_keys)
     if arguments.command == "check":
@@ -77,6 +77,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
         migrate(settings)
     else:
         from chamfer_morph.server.api_server import ApiServer
+        from chamfer_morph.server.listener import listen
         from chamfer_morph.worker.storage import Storage
 
         # parts of forms lie beside the meshes on their way in, for /tmp may be memory
@@ -115,13 +116,13 @@ def _manage_keys(arguments: argparse.Namespace, api_keys: ApiKeyStore) -> int:
     from chamfer_morph.schemas import KeyRequest
 
     try:
-        wanted = KeyRequest(name=arguments.name, scopes=arguments.scope or ["read", "submit"])
+        request = KeyRequest(name=arguments.name, scopes=arguments.scope or ["read", "submit"])
     except ValidationError:
         sys.stderr.write("A key's name has up to 64 letters, digits, dots, dashes, underscores.\n")
         return BAD_INPUT
-    made = api_keys.add(wanted.name, wanted.scopes)
+    made = api_keys.add(request.name, request.scopes)
     if made is None:
-        sys.stderr.write(f"There is a key {wanted.name!r} already.\n")
+        sys.stderr.write(f"There is a key {request.name!r} already.\n")
         return BAD_INPUT
     sys.stdout.write(f"{made[1]}{os.linesep}")
     return 0

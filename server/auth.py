@@ -16,6 +16,8 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from chamfer_morph.schemas import Scope
 from chamfer_morph.server.database.api_keys import ApiKeyStore, Caller, secret_digest
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.worker.settings import Settings
+from morph_engine.errors import ConfigError
 
 CACHE_SECONDS = 1.0
 """A key revoked by another process works for so long."""
@@ -41,6 +43,20 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(name).is_loopback
     except ValueError:
         return False
+
+
+def check_keys(settings: Settings, api_keys: ApiKeyStore) -> None:
+    """Refuse to listen to other machines without keys.
+
+    Raises:
+        ConfigError: The address is not on loopback, and there is no key.
+    """
+    if not is_loopback(settings.host) and not api_keys.callers():
+        raise ConfigError(
+            f"Without keys everybody who reaches {settings.host} could use this service.",
+            "Make one with `python -m chamfer_morph.server keys add NAME --scope admin`, or "
+            "listen on 127.0.0.1.",
+        )
 
 
 class Authenticator:
@@ -78,9 +94,9 @@ class Authenticator:
         return ANONYMOUS
 
     def _find(self, secret: str) -> Caller:
-        wanted = secret_digest(secret)
+        digest = secret_digest(secret)
         for stored, caller in self._callers.items():
-            if hmac.compare_digest(stored, wanted):
+            if hmac.compare_digest(stored, digest):
                 return caller
         raise _unauthorized("This key is unknown or revoked.")
 

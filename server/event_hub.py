@@ -12,12 +12,12 @@ import os
 from bisect import bisect_right
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from datetime import datetime, timezone
 
 import anyio
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from chamfer_morph.schemas import Event, JobState
-from chamfer_morph.server.database.tables import as_time, now
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.queue import JobQueue
@@ -213,4 +213,4 @@ def encode_event(event: Event) -> bytes:
 
 def state_event(after: int, state: JobState) -> Event:
     """A change of state; it has the id of the last event before it."""
-    return Event(id=after, type="state", at=as_time(now()), data={"state": state.value})
+    return Event(id=after, type="state", at=datetime.now(timezone.utc), data={"state": state.value})

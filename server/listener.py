@@ -1,30 +1,14 @@
-"""Where the API listens, and where it must not."""
+"""The socket on which the API listens."""
 
 from __future__ import annotations
 
 import ipaddress
 import socket
 
-from chamfer_morph.server.auth import is_loopback
-from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import ConfigError
 
 BACKLOG = 1024
-
-
-def check_keys(settings: Settings, api_keys: ApiKeyStore) -> None:
-    """Refuse to listen to other machines without keys.
-
-    Raises:
-        ConfigError: The address is not on loopback, and there is no key.
-    """
-    if not is_loopback(settings.host) and not api_keys.callers():
-        raise ConfigError(
-            f"Without keys everybody who reaches {settings.host} could use this service.",
-            "Make one with `python -m chamfer_morph.server keys add NAME --scope admin`, or "
-            "listen on 127.0.0.1.",
-        )
 
 
 def listen(settings: Settings) -> socket.socket:

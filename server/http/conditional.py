@@ -54,10 +54,10 @@ def etag_headers(etag: str) -> dict[str, str]:
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
     """That the caller has the version with these headers already, if so."""
-    wanted = request.headers.get("if-none-match", "")
-    tags = {tag.strip().removeprefix("W/") for tag in wanted.split(",")}
-    known = headers["ETag"] in tags or "*" in tags
-    return Response(status_code=304, headers=dict(headers)) if known else None
+    known = request.headers.get("if-none-match", "")
+    tags = {tag.strip().removeprefix("W/") for tag in known.split(",")}
+    matches = headers["ETag"] in tags or "*" in tags
+    return Response(status_code=304, headers=dict(headers)) if matches else None
 
 
 def bytes_response(

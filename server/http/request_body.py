@@ -1,12 +1,14 @@
-"""Request bodies: a limit on how long they may stall, and JSON where FastAPI does not read it."""
+"""Request bodies: their size, how long they may stall, and JSON that FastAPI does not read."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import TypeVar
 
 import anyio
 from pydantic import BaseModel, ValidationError
+from starlette.middleware.body_limit import RequestBodyLimitMiddleware
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -18,6 +20,29 @@ from chamfer_morph.server.http.problems import (
 )
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+class BodySizeMiddleware:
+    """Starlette's limit on the size of a body, another one for each address.
+
+    FastAPI takes the limit with a router, but no release for Python 3.10 does.
+
+    Args:
+        app: The application.
+        max_body_size: The limit [bytes].
+        exceptions: The limit of the addresses that have another one [bytes].
+    """
+
+    def __init__(self, app: ASGIApp, max_body_size: int, exceptions: Mapping[str, int]) -> None:
+        self.default = RequestBodyLimitMiddleware(app, max_body_size)
+        self.by_path = {
+            path: RequestBodyLimitMiddleware(app, size) for path, size in exceptions.items()
+        }
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        limited = self.by_path.get(scope.get("path", ""), self.default)
+        await limited(scope, receive, send)
 
 
 class BodyTimeoutMiddleware:

@@ -83,8 +83,8 @@ async def get_surface(
 
 def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
     """The version of a surface that is there."""
-    seen = path.stat()
-    return f"{seen.st_mtime_ns:x}-{seen.st_size:x}-{format}-{units}"
+    stat = path.stat()
+    return f"{stat.st_mtime_ns:x}-{stat.st_size:x}-{format}-{units}"
 
 
 def _encode(

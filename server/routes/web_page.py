@@ -99,10 +99,10 @@ def _file(request: Request, name: str, caching: str) -> Response | None:
 def _content(path: Path) -> bytes | None:
     """What is in a file; read again only when it has changed."""
     try:
-        seen = path.stat()
+        stat = path.stat()
     except (OSError, ValueError):
         return None
-    return _read(path, seen.st_mtime_ns, seen.st_size)
+    return _read(path, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=256)
