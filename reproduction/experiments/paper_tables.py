@@ -15,7 +15,7 @@ SEEDS = (42, 43, 44)
 
 CONVERGED: dict[str, Any] = {"descent.epsilon": 1e-8}
 CONVERGED_FRAMES = 120
-"""3600 steps: with epsilon 1e-4 and 1200, as has_table, a quarter of the way is left (8.2)."""
+"""3600 steps: with epsilon 1e-4 and 1200, as tabulated, a quarter of the way is left (8.2)."""
 
 INVERSE: dict[str, Any] = {"weighting": "inverse"}
 
@@ -422,7 +422,7 @@ def converged(
 
 
 def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, Any]) -> list[Row]:
-    """A method of points as has_table, and converged."""
+    """A method of points as tabulated, and converged."""
     stopped = shape_run("Sphere", "Bunny", method, variant=variant, overrides=overrides)
     end = converged(method, variant, overrides)
     return [_row(label, stopped, group="3"), _row(f"{label}, converged", end, group="3")]
