@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from typing import Literal
+
 import pytest
 
 from morph_engine import methods, presets
-from morph_engine.config import MorphConfig, setting_fields
+from morph_engine.config import MethodOptions, MorphConfig, setting_fields, stored_config
 from morph_engine.errors import ConfigError
 from morph_engine.optimization import joint_weights, physics_weights
 from morph_engine.presets import configure
@@ -107,3 +111,34 @@ def test_published_schedule() -> None:
     physics = [physics_weights(smoothing, frame) for frame in (0, 10, 30, 39)]
     assert [w.smoothing for w in physics] == [0.88, 0.9, 0.92, 0.92]
     assert all(w.chamfer == 0 and w.physics == 1 for w in physics)
+
+
+def test_methods_are_known_without_taichi() -> None:
+    """Configurations, presets and estimates of every method load no compiler and no SciPy."""
+    code = (
+        "import sys; from morph_engine import cost, methods, presets; "
+        "[(presets.configure('fast', {'method': m}), cost.estimate(9, 9, 9, method=m)) "
+        "for m in methods.names()]; print('taichi' in sys.modules, 'scipy' in sys.modules)"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert process.stdout.split() == ["False", "False"], process.stderr
+
+
+def test_options_of_an_unknown_method_are_kept_and_not_run() -> None:
+    """A stored configuration of a method that is not installed is shown as it was."""
+    stored = {"frames": 3, "method": {"name": "elsewhere", "strength": 2}}
+    config = stored_config(stored)
+    assert config.model_dump(mode="json")["method"] == stored["method"]
+    with pytest.raises(ConfigError, match="no method called 'elsewhere'"):
+        methods.find(config.method.name)
+
+
+def test_an_option_may_not_hide_a_shared_setting() -> None:
+    """Its path would mean two things."""
+    with pytest.raises(ConfigError, match="an option called 'grid'"):
+
+        class HidingOptions(MethodOptions):
+            """Refused."""
+
+            name: Literal["hiding"] = "hiding"
+            grid: int = 1
