@@ -15,12 +15,13 @@ from chamfer_morph.worker.frame_reader import (
     read_run_record,
 )
 from morph_engine.errors import ResultError
+from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
 
 POINTS = np.random.default_rng(3).normal(size=(50, 3)).astype(np.float32)
-RUN = RunRecord({}, POINTS, POINTS, POINTS, POINTS)
+RUN = RunRecord(configure("fast"), POINTS, POINTS, POINTS, POINTS)
 
 
 @pytest.fixture
