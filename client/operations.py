@@ -44,8 +44,8 @@ from chamfer_morph.schemas import (
     Units,
     WorkerStatus,
 )
-from morph_engine.digest import file_sha256
 from morph_engine.errors import ConfigError, MeshError, ResultError
+from morph_engine.files import file_sha256
 
 if TYPE_CHECKING:
     import numpy as np

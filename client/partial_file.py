@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 
-from morph_engine.digest import file_sha256
 from morph_engine.errors import ResultError
+from morph_engine.files import file_sha256
 
 SUFFIX = ".part"
 

@@ -1,7 +1,11 @@
-"""Files that survive a crash: replaced as a whole, and written by one process at a time."""
+"""Files that survive a crash: replaced as a whole, and written by one process at a time.
+
+Meshes and results are known by the SHA-256 of their files.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 import time
@@ -11,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 POLL_SECONDS = 0.1
+_BLOCK_BYTES = 1 << 20
 
 
 @contextmanager
@@ -109,3 +114,16 @@ def wait_for(path: Path, seconds: float = float("inf")) -> BinaryIO:
             raise TimeoutError(f"{path} is held by another process.")
         time.sleep(POLL_SECONDS)
     return lock
+
+
+def file_sha256(path: Path) -> str:
+    """Digest of a file's bytes, in hexadecimal, read block by block.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()

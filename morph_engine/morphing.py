@@ -38,11 +38,11 @@ from morph_engine.metrics.deformation import deformation_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.events import Event
 from morph_engine.presets import configure
-from morph_engine.results.run_record import Geometry, RunRecord
+from morph_engine.results.run_record import RunRecord, Shape
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
 
-Shape = Mesh | NDArray[Any] | str | Path
+ShapeLike = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
 
 MEGABYTE = 1e6
@@ -73,7 +73,7 @@ class Frame:
     det_f: NDArray[np.float32] | None = None
 
 
-def prepare(source: Shape, target: Shape, config: MorphConfig | None = None) -> RunRecord:
+def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = None) -> RunRecord:
     """Turn two shapes into particles and target points, in the domain of the configuration.
 
     Raises:
@@ -98,8 +98,8 @@ def prepare(source: Shape, target: Shape, config: MorphConfig | None = None) -> 
 
 
 def morph(
-    source: Shape,
-    target: Shape,
+    source: ShapeLike,
+    target: ShapeLike,
     config: MorphConfig | None = None,
     *,
     device: Device = "auto",
@@ -348,13 +348,13 @@ class EarlyStopping:
         self._best, self._waited = state["best"], state["waited"]
 
 
-def _resolve(shape: Shape) -> Geometry:
+def _resolve(shape: ShapeLike) -> Shape:
     if isinstance(shape, (str, Path)):
         return resolve_shape(str(shape))
     return shape
 
 
-def _points(shape: Geometry, config: MorphConfig) -> tuple[NDArray[np.float32], Similarity]:
+def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Similarity]:
     """Points of a shape in grid units, and the map from the user's coordinates."""
     if not isinstance(shape, Mesh):
         return _cloud(shape, config), Similarity()

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from morph_engine.digest import file_sha256
 from morph_engine.errors import MeshError
+from morph_engine.files import file_sha256
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.shapes import make
 

@@ -26,9 +26,8 @@ from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
 from morph_engine.child_process import lower_priority
-from morph_engine.digest import file_sha256
 from morph_engine.errors import MorphError, ResultError
-from morph_engine.files import wait_for
+from morph_engine.files import file_sha256, wait_for
 from morph_engine.morphing import Frame, prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.run_record import RunRecord

@@ -17,7 +17,7 @@ from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
 
 Json = dict[str, Any]
-Geometry = Mesh | NDArray[Any]
+Shape = Mesh | NDArray[Any]
 """A shape as the user gave it: a mesh, or a bare point cloud of shape [n, 3]."""
 
 _SOFTWARE = ("chamfer-morph", "taichi", "numpy", "scipy", "libigl", "trimesh", "h5py")
@@ -56,8 +56,8 @@ class RunRecord:
     """
 
     config: MorphConfig
-    source: Geometry
-    target: Geometry
+    source: Shape
+    target: Shape
     source_points: NDArray[np.float32]
     target_points: NDArray[np.float32]
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
@@ -121,8 +121,8 @@ class RunRecord:
         """
         return cls(
             config=stored_config(document["config"]),
-            source=_geometry("source", document, arrays),
-            target=_geometry("target", document, arrays),
+            source=_shape("source", document, arrays),
+            target=_shape("target", document, arrays),
             source_points=arrays["source_points"],
             target_points=arrays["target_points"],
             transform=np.array(document["transform"], np.float64),
@@ -133,7 +133,7 @@ class RunRecord:
         )
 
 
-def _identity(shape: Geometry) -> dict[str, str]:
+def _identity(shape: Shape) -> dict[str, str]:
     if isinstance(shape, Mesh):
         return {"name": shape.name, "sha256": shape.sha256}
     digest = hashlib.sha256(f"{shape.dtype.str} {shape.shape} ".encode())
@@ -141,7 +141,7 @@ def _identity(shape: Geometry) -> dict[str, str]:
     return {"name": "points", "sha256": digest.hexdigest()}
 
 
-def _geometry(name: str, document: Json, arrays: Mapping[str, NDArray[Any]]) -> Geometry:
+def _shape(name: str, document: Json, arrays: Mapping[str, NDArray[Any]]) -> Shape:
     vertices = arrays[f"{name}_vertices"]
     if f"{name}_faces" not in arrays:
         return vertices

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
-from morph_engine.results.run_record import Geometry, Json, RunRecord
+from morph_engine.results.run_record import Json, RunRecord, Shape
 from morph_engine.results.spool import Spool
 
 Status = Literal["complete", "partial"]
@@ -319,12 +319,12 @@ class Trajectory:
         return self.run.config
 
     @property
-    def source(self) -> Geometry:
+    def source(self) -> Shape:
         """Source shape in the user's own coordinates: a mesh, or points of shape [n, 3]."""
         return self.run.source
 
     @property
-    def target(self) -> Geometry:
+    def target(self) -> Shape:
         """Target shape in the user's own coordinates: a mesh, or points of shape [n, 3]."""
         return self.run.target
 

@@ -20,7 +20,7 @@ from chamfer_morph.server.http.conditional import binary_responses, file_respons
 from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_result
 from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
-from morph_engine.digest import file_sha256
+from morph_engine.files import file_sha256
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions, StoredExport
 from morph_engine.child_process import lower_priority
-from morph_engine.digest import file_sha256
 from morph_engine.errors import MorphError, ResourceError
 from morph_engine.export import export, find, suffix
-from morph_engine.files import replacing, wait_for
+from morph_engine.files import file_sha256, replacing, wait_for
 
 DISK_FULL = (errno.EFBIG, errno.ENOSPC, errno.EDQUOT)
 
