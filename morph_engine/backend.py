@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 
-ti = lazy.load("taichi")  # which takes a second; not every use of the package computes
+ti: Any = lazy.load("taichi")  # which takes a second; not every use of the package computes
 
 Precision = Literal["float32", "float64"]
 

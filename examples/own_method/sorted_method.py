@@ -39,8 +39,6 @@ class SortedOptions(MethodOptions):
 class Sorted(Method[SortedOptions]):
     """Straight ways between points of the same rank."""
 
-    Options = SortedOptions
-
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         self._goal = problem.target[self._partners()]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from morph_engine.errors import MeshError
 from morph_engine.geometry.topology import signed_volume
 
-trimesh = lazy.load("trimesh")
+trimesh: Any = lazy.load("trimesh")
 
 FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
 FILE_BYTES_LIMIT = 256 * 2**20

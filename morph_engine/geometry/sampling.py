@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import lazy_loader as lazy
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
 
-igl = lazy.load("igl")
+igl: Any = lazy.load("igl")
 
 Jitter = Literal["published", "none"]
 Fit = Literal["volume", "extent", "none"]

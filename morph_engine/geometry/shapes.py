@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -19,7 +20,7 @@ from morph_engine.errors import MeshError, unknown_name
 from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
 from morph_engine.geometry.sampling import fit_to_domain
 
-trimesh = lazy.load("trimesh")
+trimesh: Any = lazy.load("trimesh")
 
 TEXT_PREFIX = "text:"
 TEXT_LIMIT = 60

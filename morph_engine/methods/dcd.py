@@ -31,7 +31,6 @@ class DcdOptions(PointOptions):
 class Dcd(PointOptimization[DcdOptions]):
     """Chamfer distance with weights from the distance of neighbours."""
 
-    Options = DcdOptions
     _loss: WeightedChamfer
 
     def __init__(self, problem: Problem) -> None:

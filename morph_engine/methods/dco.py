@@ -23,8 +23,6 @@ class DcoOptions(PointOptions):
 class Dco(PointOptimization[DcoOptions]):
     """Chamfer distance and local regularizers."""
 
-    Options = DcoOptions
-
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         self._regularizers = losses.Regularizers(problem.source, self.options.regularizers)

@@ -27,7 +27,5 @@ class DensityAwareOptions(PointOptions):
 class DensityAware(PointOptimization[DensityAwareOptions]):
     """Density-aware Chamfer distance."""
 
-    Options = DensityAwareOptions
-
     def _make_loss(self) -> DensityAwareChamfer:
         return losses.DensityAwareChamfer(self._matches, self.options.alpha)

@@ -71,8 +71,6 @@ class JointOptions(ControlOptions):
 class Joint(ControlMethod[JointOptions]):
     """The grid mass loss, and from some frame on the Chamfer loss beside it."""
 
-    Options = JointOptions
-
     def _make_control(self, grid_loss: GridMassLoss) -> FrameOptimizer:
         options = self.options
         return optimization.FrameOptimizer(

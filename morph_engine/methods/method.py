@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,8 @@ class Method(ABC, Generic[OptionsT]):
     """One morph by one method; frames are advanced in order.
 
     Attributes:
-        Options: Class of the method's options; the subclass that sets it is the method.
+        Options: Class of the method's options: the type argument of its base, as in
+            `class Own(Method[OwnOptions])`.
         problem: What is to be morphed into what.
     """
 
@@ -70,8 +71,11 @@ class Method(ABC, Generic[OptionsT]):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "Options" in vars(cls):
-            _methods[cls.Options] = cls
+        for base in vars(cls).get("__orig_bases__", ()):
+            for argument in get_args(base):
+                if isinstance(argument, type) and issubclass(argument, MethodOptions):
+                    cls.Options = argument
+                    _methods[argument] = cls
 
     def __init__(self, problem: Problem) -> None:
         options = problem.config.method

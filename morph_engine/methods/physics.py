@@ -137,8 +137,6 @@ class ControlMethod(MpmMethod[ControlOptionsT], Generic[ControlOptionsT]):
 class Physics(ControlMethod[PhysicsOptions]):
     """The grid mass loss alone."""
 
-    Options = PhysicsOptions
-
 
 def two_sided(forward: NDArray[np.float64], reverse: NDArray[np.float64]) -> float:
     """Root of the sum of both mean squared distances [dx] (algorithm 9)."""

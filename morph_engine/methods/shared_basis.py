@@ -39,8 +39,6 @@ class SharedBasisOptions(PointOptions):
 class SharedBasis(PointOptimization[SharedBasisOptions]):
     """Chamfer distance, whose gradient moves the control points of a lattice."""
 
-    Options = SharedBasisOptions
-
     def state(self) -> dict[str, NDArray[Any]]:
         """Positions, the optimiser's state, and the control displacements, shape [c, 3]."""
         return {**super().state(), "control": self._control.to_numpy()}

@@ -33,7 +33,6 @@ class SinkhornOptions(PointOptions):
 class Sinkhorn(PointOptimization[SinkhornOptions]):
     """Sinkhorn divergence of particles and target on the nodes of the grid."""
 
-    Options = SinkhornOptions
     _loss: SinkhornDivergence
 
     def state(self) -> dict[str, NDArray[Any]]:

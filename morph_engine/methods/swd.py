@@ -27,7 +27,6 @@ class SwdOptions(PointOptions):
 class Swd(PointOptimization[SwdOptions]):
     """Sliced Wasserstein distance along lines that every step draws anew."""
 
-    Options = SwdOptions
     _loss: SlicedWasserstein
 
     def _make_loss(self) -> SlicedWasserstein:

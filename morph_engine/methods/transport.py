@@ -67,8 +67,6 @@ class Transport(MpmMethod[TransportOptions]):
     acts against changes of volume. What the grid is too coarse for is mended by small moves.
     """
 
-    Options = TransportOptions
-
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         volume = np.full(len(problem.source), problem.config.spacing**3)

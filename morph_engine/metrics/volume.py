@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -24,7 +24,7 @@ from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
 
-igl = lazy.load("igl")
+igl: Any = lazy.load("igl")
 
 __all__ = ["density_ratio", "fill_metrics", "outside_metrics"]
 

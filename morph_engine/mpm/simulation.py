@@ -69,14 +69,14 @@ class Simulation:
         self.dt = dt
         self.domain = domain
         self.largest_cells_per_step = largest_cells_per_step
-        self.smoothing = 0.0
+        self.smoothing: float = 0.0
         rotations = material.model == FIXED_COROTATED
-        self.layers = [Layer(n) for _ in range(transitions + 1)]
-        self.transitions = [
+        self.layers: list[Layer] = [Layer(n) for _ in range(transitions + 1)]
+        self.transitions: list[Transition] = [
             Transition(n, grid.node_count, rotations=rotations) for _ in range(transitions)
         ]
-        self.volume = device.upload(rest_volume)
-        self.bar = Layer(n)
+        self.volume: Any = device.upload(rest_volume)
+        self.bar: Layer = Layer(n)
         self._private = PrivateGrids(n, grid)
         self._scheme = Scheme(material.model, self._private.atomic, adjoint)
         self._nodes_bar = device.vectors(grid.node_count, 8)

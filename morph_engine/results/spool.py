@@ -137,7 +137,7 @@ class Spool(SpoolReader):
         self.run = run
         self._lock = lock
         self._notes = self._read_notes()  # metrics and events of each frame
-        self.frame_count = len(self._notes)
+        self.frame_count: int = len(self._notes)
 
     @classmethod
     def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:

@@ -35,7 +35,7 @@ PROGRAM: dict[str, Numbers] = {run: numbers for (run,), numbers in _read("progra
 """What the published program yields by run id: its own output at frame 39 for `physics` and
 `joint`, an independent repetition with its settings for `dco` and `dcd` (algorithm 8.2, 9.2)."""
 
-CLAIMS = {
+CLAIMS: dict[str, float] = {
     "pairs_two_sided": 16,
     "pairs_s2t": 20,
     "sphere_two_sided": 4,

@@ -50,7 +50,7 @@ CONFLICTS = {
     "deleteMesh", "getResult", "deleteJob", "cancelJob", "resumeJob", "retryJob", "submitJob",
     "submitSweep", "makeKey", "revokeKey", "uploadMesh", "exportJob", "getExportFile",
 }  # fmt: skip
-LIMITED = {
+LIMITED: dict[str, tuple[int, ...]] = {
     "getSurface": (413,),
     "resumeJob": (413, 429),
     "retryJob": (413, 429),

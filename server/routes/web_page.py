@@ -28,7 +28,7 @@ FOR_EVER = "public, max-age=31536000, immutable"
 METHODS = ["GET", "HEAD"]
 
 
-VIEWS = {
+VIEWS: dict[str, tuple[str, ...]] = {
     "/": ("src/views/jobs/jobs.js",),
     "/new": ("src/views/new/new.js",),
     "/compare": ("src/views/compare/compare.js", "src/viewer/viewer.js"),

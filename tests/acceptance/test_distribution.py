@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -218,6 +219,20 @@ def test_commands_on_files(installation):
     morph("render", "a.vtkhdf", "--size", "64x48", "-o", "a.gif", "--quiet")
 
 
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_public_types_are_complete(installation, package, tmp_path):
+    """At least 99 % of the public names have types that every type checker reads alike."""
+    outcome = subprocess.run(
+        [sys.executable, "-m", "pyright", "--verifytypes", package, "--ignoreexternal",
+         "--outputjson"],
+        cwd=tmp_path, env=_pyright_environment(installation),
+        capture_output=True, text=True,
+    )  # fmt: skip
+    report = json.loads(outcome.stdout)["typeCompleteness"]
+    assert report["exportedSymbolCounts"]["withKnownType"] > 500
+    assert report["completenessScore"] >= 0.99
+
+
 def test_the_reproduction(installation):
     """Its runs are processes of their own."""
     installation.morph("reproduce", "trial", "--quick", "--results", "results", "--quiet")
@@ -262,6 +277,13 @@ def test_a_worker(installation, tmp_path):
 
 def _linked_folders() -> set[str]:
     return {path.name for path in (ROOT / "chamfer_morph").iterdir() if path.is_symlink()}
+
+
+def _pyright_environment(installation: Installation) -> dict[str, str]:
+    """What makes pyright look at an installation, find Node.js, and say nothing but its report."""
+    folders = (installation.python.parent, Path(sys.executable).parent, os.environ["PATH"])
+    path = os.pathsep.join(map(str, folders))
+    return installation.environment | {"PATH": path, "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
 
 
 def _extraction_filter() -> dict[str, str]:

@@ -40,8 +40,8 @@ def test_each_module_is_on_the_map(package):
         if "node_modules" in path.parts or path.name.startswith("__"):
             continue
         names = {path.name, relative.as_posix(), f"{package}/{relative.as_posix()}"}
-        names |= {f"{folder.as_posix()}/" for folder in relative.parents}
-        names |= {f"{package}/*{path.name[path.name.rindex('_') :]}"} if "_" in path.stem else set()
+        for folder in relative.parents[:-1]:
+            names |= {f"{folder.as_posix()}/", f"{package}/{folder.as_posix()}/"}
         if not any(f"`{name}`" in map_of(package) for name in names):
             missing.append(relative.as_posix())
     assert not missing
