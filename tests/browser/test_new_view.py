@@ -112,7 +112,7 @@ def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
 
 def test_changed_settings_alone_are_sent(service, page):
     """A setting found by its name, changed, kept over a reload, and sent as the only override."""
-    page.goto("/new?preset=published")
+    page.goto("/new?preset=published&methods=joint")
     make_it_small(page)
     page.get_by_text("All settings").click()
     page.get_by_label("Find a setting").fill("huber")
@@ -136,7 +136,29 @@ def test_changed_settings_alone_are_sent(service, page):
     job = page.url.rpartition("/")[2]
     service.call("POST", f"/v1/jobs/{job}/cancel")
     config = service.call("GET", f"/v1/jobs/{job}/config").json()
-    assert config["chamfer"]["huber_delta"] == 0.75
+    assert config["method"]["chamfer"]["huber_delta"] == 0.75
+
+
+def test_settings_are_those_of_the_chosen_methods(page):
+    """A method's settings come and go with it; a change that it does not have is not sent."""
+    page.goto("/new")
+    page.get_by_text("All settings").click()
+    weight, sweeps = page.locator("[id='set-chamfer.weight']"), page.locator("[id='set-sweeps']")
+    expect(sweeps).to_have_value("8")
+    expect(weight).to_be_hidden()
+    sweeps.fill("3")
+    sweeps.blur()
+    expect(page.get_by_text("1 setting changed")).to_be_visible()
+    method(page, "joint").check()
+    expect(weight).to_have_value("10")
+    expect(sweeps).to_be_visible()
+    method(page, "transport").uncheck()
+    expect(sweeps).to_be_hidden()
+    expect(page.get_by_text("1 setting changed")).to_be_hidden()
+    with page.expect_request(re.compile("/v1/jobs$")) as sent:
+        page.get_by_role("button", name="Morph").click()
+    assert sent.value.post_data_json["overrides"] == {}
+    page.wait_for_url("**/jobs/*")
 
 
 def test_an_unfinished_choice_is_not_sent(page):
@@ -177,9 +199,9 @@ def test_a_newer_choice_outlives_an_upload(mesh_files, page):
 def test_what_is_being_typed_stays(page):
     """A preset that arrives late fills every field but the one somebody types in."""
     held = []
-    page.route("**/v1/presets/published", lambda route: held.append(route))
+    page.route("**/v1/presets/published?*", lambda route: held.append(route))
     page.goto("/new")
-    with page.expect_request("**/v1/presets/published"):
+    with page.expect_request("**/v1/presets/published?*"):
         page.get_by_label("Preset", exact=True).select_option("published")
     frames = page.get_by_label("Frames", exact=True)
     frames.select_text()
@@ -216,7 +238,7 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
 
 def test_what_only_the_service_refuses_is_told_beside_its_field(page):
     """An address can ask for what the form would not take; the service's words are shown."""
-    page.goto('/new?overrides={"chamfer.weight":-3}')
+    page.goto('/new?methods=joint&overrides={"chamfer.weight":-3}')
     page.get_by_role("button", name="Morph").click()
     fault = page.locator("[id='set-chamfer.weight-fault']")
     expect(fault).to_contain_text("-3: input should be greater than or equal to 0")
