@@ -2,11 +2,14 @@
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
 from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.registry import EXPERIMENTS
 from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.runner import known_records
 from chamfer_morph.reproduction.runs.store import Record, Store
 
 RUN = Run(id="a", source="sphere", target="star", method="joint", points_per_cell_edge=1)
@@ -92,3 +95,18 @@ def test_a_failure_is_kept_and_tried_again(store, meshes):
     record = store.read(RUN, digest)
     assert record is not None and record.problem == "It burst."
     assert store.find(RUN, digest) is None
+
+
+def test_records_of_version_0_1_0_are_found(paper_mesh, tmp_path):
+    """Those that are committed need not be computed again, unless a mesh or a setting differs."""
+    meshes = MeshFolder(paper_mesh("sphere").parent)
+    committed = Store(Path(__file__).parents[2] / "docs" / "results")
+    runs = (*EXPERIMENTS["sphere"].runs, *EXPERIMENTS["regularisers"].runs)
+    known = known_records(runs, committed, meshes)
+    assert known.keys() == {run.id for run in runs}
+    assert all(known[run.id].digest == run.digest(meshes) for run in runs)
+    run = runs[0].model_copy(update={"frames": 41})
+    assert known_records([run], committed, meshes) == {}
+    for name in runs[0].shapes:
+        (tmp_path / name).write_text("v 0 0 0\n")
+    assert known_records([runs[0]], committed, MeshFolder(tmp_path)) == {}
