@@ -36,7 +36,7 @@ from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
-from morph_engine.optimization.events import Event
+from morph_engine.optimization.watchdog import Event
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord, Shape
 from morph_engine.results.spool import Spool

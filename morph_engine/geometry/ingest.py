@@ -13,9 +13,9 @@ from morph_engine.geometry.sampling import (
     MINIMUM_PARTICLES,
     REFERENCE_VOLUME,
     sample_lattice,
-    winding_number,
 )
 from morph_engine.geometry.topology import Opening, Topology, Vector
+from morph_engine.geometry.winding_number import winding_number
 
 POINTS_PER_CELL_EDGE = (2, 3, 4)
 

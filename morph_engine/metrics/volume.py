@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy
 
 from morph_engine.geometry.point_cloud import Points, finite_points, target_points
-from morph_engine.geometry.sampling import inside
+from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
 if TYPE_CHECKING:

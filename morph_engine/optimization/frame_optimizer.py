@@ -18,9 +18,11 @@ from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMassLoss
 from morph_engine.mpm.faults import NON_FINITE, fault_names
 from morph_engine.mpm.simulation import Simulation
-from morph_engine.optimization.events import Event
+from morph_engine.optimization import watchdog
 from morph_engine.optimization.layer_optimizer import LayerOptimizer, Norm
+from morph_engine.optimization.line_search import backtrack
 from morph_engine.optimization.schedule import FrameWeights
+from morph_engine.optimization.watchdog import Event
 
 SMALLEST = 1e-12
 
@@ -140,14 +142,7 @@ class FrameOptimizer:
                     "The frames before it are kept; try a smaller optimizer.step or time.dt.",
                 )
             simulation.dt /= 2
-            report.events.append(
-                Event(
-                    frame,
-                    "restart",
-                    f"Frame {frame} restarted at dt = {simulation.dt:.3g} s: {cause}.",
-                    {"cause": cause, "dt": simulation.dt},
-                )
-            )
+            report.events.append(watchdog.restarted(frame, simulation.dt, cause))
         report.first_losses = self._losses
         for pass_index in range(self._config.passes):
             for group in self._groups:
@@ -157,15 +152,10 @@ class FrameOptimizer:
                     report.failed += 1
         report.losses = self._losses
         report.dt = simulation.dt
-        for cause, count in sorted(self._rejected.items()):
-            report.events.append(
-                Event(
-                    frame,
-                    "rejected",
-                    f"{count} trial{'s' * (count > 1)} rejected in frame {frame}: {cause}.",
-                    {"cause": cause, "count": count},
-                )
-            )
+        report.events += [
+            watchdog.rejected(frame, count, cause)
+            for cause, count in sorted(self._rejected.items())
+        ]
         return report
 
     def _reset(self) -> None:
@@ -186,29 +176,34 @@ class FrameOptimizer:
             self._seed_gradient(chamfer_weight)
             self._simulation.backward(lowest, decay=self._decay(pass_index))
         norms = norms or self._norms(group)
-        objective = self._objective(before, chamfer_weight)
-        for trial in range(optimizer.line_search_trials):
-            factor = optimizer.line_search_factor**trial
+
+        def trial(share: float) -> float:
             for layer, norm in zip(group, norms, strict=True):
                 scale = optimizer.target_norm / max(norm, 1e-6)
                 alpha = self._step * min(max(scale, optimizer.smallest_scale), 1.0)
                 self._simulation.transitions[layer].U = self._controls[layer].try_step(
                     self._simulation.transitions[layer].U_bar,
                     norm,
-                    alpha * factor,
+                    alpha * share,
                     self._update_count(layer) + 1,
                 )
             faults = self._simulation.forward(lowest)
-            after = self._evaluate() if faults == 0 else Losses(math.nan, math.nan)
-            value = self._objective(after, chamfer_weight)
-            if value < objective:  # false for NaN
-                for layer in group:
-                    self._controls[layer].accept()
-                    self._counts[layer] += 1
-                self._losses = after
-                return True
+            self._losses = self._evaluate() if faults == 0 else Losses(math.nan, math.nan)
+            value = self._objective(self._losses, chamfer_weight)
             if faults or not math.isfinite(value):
                 self._rejected.update(fault_names(faults or NON_FINITE))
+            return value
+
+        if backtrack(
+            trial,
+            self._objective(before, chamfer_weight),
+            trials=optimizer.line_search_trials,
+            factor=optimizer.line_search_factor,
+        ):
+            for layer in group:
+                self._controls[layer].accept()
+                self._counts[layer] += 1
+            return True
         for layer in group:
             self._simulation.transitions[layer].U = self._controls[layer].kept
         self._simulation.forward(lowest)

@@ -20,11 +20,10 @@ from morph_engine.geometry.sampling import (
     REFERENCE_VOLUME,
     Similarity,
     fit_to_domain,
-    inside,
     sample_lattice,
-    winding_number,
 )
 from morph_engine.geometry.shapes import make
+from morph_engine.geometry.winding_number import FAST_WINDING_ERROR, inside, winding_number
 
 MESHES = Path(os.environ.get("MORPH_MESHES", Path(__file__).parents[3] / "shared" / "meshes"))
 needs_meshes = pytest.mark.skipif(
@@ -47,7 +46,7 @@ def test_fast_winding_number_equals_the_exact_one(name):
     clear = np.abs(exact - np.rint(exact)) < 1e-6
     assert clear.mean() > 0.99
     difference = np.abs(winding_number(mesh, points) - exact)[clear]
-    assert difference.max() < sampling.FAST_WINDING_ERROR
+    assert difference.max() < FAST_WINDING_ERROR
 
 
 @pytest.mark.parametrize(("size", "offset"), [(1e-14, 0.0), (1e7, 0.0), (1.0, 1e6)])
@@ -62,7 +61,10 @@ def test_winding_number_at_any_size_and_place(size, offset):
 def test_inside_decides_doubtful_points_exactly(monkeypatch):
     """A point that the fast winding number puts on the wrong side is put right."""
     mesh = make("sphere")
-    monkeypatch.setattr(sampling, "winding_number", lambda mesh, points: np.array([0.49, 0.51]))
+    monkeypatch.setattr(
+        "morph_engine.geometry.winding_number.winding_number",
+        lambda mesh, points: np.array([0.49, 0.51]),
+    )
     assert inside(mesh, [[0, 0, 0], [13, 0, 0]]).tolist() == [True, False]
 
 

@@ -1,0 +1,43 @@
+"""The watchdog: what it did about trials and frames that cannot be accepted.
+
+`morph_engine.mpm.faults` says what makes them unacceptable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something worth telling that happened in a frame.
+
+    Attributes:
+        frame: 0-based frame index.
+        kind: "rejected" (trials refused), "restart" (frame begun anew with half the time step),
+            "stopped" (early stopping).
+        message: One sentence.
+        data: Numbers behind the message.
+    """
+
+    frame: int
+    kind: str
+    message: str
+    data: dict[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The event as JSON-ready data."""
+        return asdict(self)
+
+
+def restarted(frame: int, dt: float, cause: str) -> Event:
+    """A frame begins anew with a smaller time step dt [s]."""
+    message = f"Frame {frame} restarted at dt = {dt:.3g} s: {cause}."
+    return Event(frame, "restart", message, {"cause": cause, "dt": dt})
+
+
+def rejected(frame: int, count: int, cause: str) -> Event:
+    """So many trial steps of a frame were refused for one cause."""
+    message = f"{count} trial{'s' * (count > 1)} rejected in frame {frame}: {cause}."
+    return Event(frame, "rejected", message, {"cause": cause, "count": count})
