@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from chamfer_morph.schemas import Job, Outcome, Sweep
     from morph_engine.config import MorphConfig
-    from morph_engine.geometry.ingest import IngestReport
+    from morph_engine.ingest import IngestReport
 
 PIPED_WIDTH = 240
 """Columns of a table that goes into a file or another program."""

@@ -6,7 +6,7 @@ import os
 
 from pydantic import BaseModel, Field
 
-from morph_engine.config.method_options import DEFAULT_METHOD, options_of
+from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 
 STARTUP_SECONDS = 8.0
 MEGABYTES_AT_REST = 300.0

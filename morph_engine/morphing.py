@@ -22,7 +22,6 @@ from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.device import Device
 from morph_engine.errors import MeshError, ResourceError
-from morph_engine.geometry.ingest import check_mesh
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.sampling import (
     MINIMUM_PARTICLES,
@@ -32,6 +31,7 @@ from morph_engine.geometry.sampling import (
     sample_lattice,
 )
 from morph_engine.geometry.shapes import resolve_shape
+from morph_engine.ingest import check_mesh
 from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics, determinants

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from morph_engine.config import MorphConfig, override, validated
-from morph_engine.config.method_options import DEFAULT_METHOD, options_of
 from morph_engine.errors import unknown_name
+from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 
 DEFAULT = "fast"
 

@@ -31,9 +31,9 @@ def inspect(
     as_json: JsonOption = False,
 ) -> None:
     """Describe a mesh: closed?, volume, particles, expected time and memory; 2 if unusable."""
-    from morph_engine.geometry.ingest import check_mesh, inspect_mesh
     from morph_engine.geometry.sampling import fit_to_domain
     from morph_engine.geometry.shapes import resolve_shape
+    from morph_engine.ingest import check_mesh, inspect_mesh
 
     fitted, _ = fit_to_domain(resolve_shape(mesh), mode=fit)
     report = inspect_mesh(fitted)

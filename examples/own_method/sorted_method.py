@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from morph_engine.config import CostRates, MethodOptions
-from morph_engine.methods import FrameOutcome, Method, Problem
+from morph_engine.methods import CostRates, FrameOutcome, Method, MethodOptions, Problem
 
 AXES = {"x": (0, 1, 2), "y": (1, 2, 0), "z": (2, 1, 0)}
 """Directions in which particles are sorted, one after another."""

@@ -5,17 +5,12 @@ Presets (`morph_engine.presets`) are complete configurations; `configure` picks 
 fields by path, as in `configure("fast", {"chamfer.weight": 5})`.
 """
 
-from morph_engine.config.method_options import CostRates, MethodOptions
 from morph_engine.config.morph_config import MorphConfig
-from morph_engine.config.sections import Section
 from morph_engine.config.settings import override, overrides_of, setting_fields, validated
 from morph_engine.config.stored import stored_config
 
 __all__ = [
-    "CostRates",
-    "MethodOptions",
     "MorphConfig",
-    "Section",
     "override",
     "overrides_of",
     "setting_fields",

@@ -12,13 +12,12 @@ from pydantic import (
     GetJsonSchemaHandler,
     SerializeAsAny,
     TypeAdapter,
-    model_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from morph_engine.config.method_options import DEFAULT_METHOD, MethodOptions, names, options_of
-from morph_engine.config.sections import SharedConfig
+from morph_engine.methods.options import MethodConfig, MethodOptions
+from morph_engine.methods.registry import DEFAULT_METHOD, names, options_of
 
 
 class _AnyMethod:
@@ -46,7 +45,7 @@ def _chosen(value: Any) -> Any:
     return value
 
 
-class MorphConfig(SharedConfig):
+class MorphConfig(MethodConfig):
     """Everything that determines a morph, given its source and target."""
 
     method: Annotated[SerializeAsAny[MethodOptions], BeforeValidator(_chosen), _AnyMethod()] = (
@@ -55,18 +54,3 @@ class MorphConfig(SharedConfig):
             description="The method and its options, see `morph methods`.",
         )
     )
-
-    @property
-    def spacing(self) -> float:
-        """Lattice spacing h [grid units]."""
-        return self.grid.dx / self.sampling.points_per_cell_edge
-
-    @property
-    def domain(self) -> float:
-        """Particles stay in [-domain, domain]^3 [grid units]."""
-        return self.grid.half_extent - self.grid.margin * self.grid.dx
-
-    @model_validator(mode="after")
-    def _consistent(self) -> MorphConfig:
-        self.method.check_grid(self.grid)
-        return self

@@ -12,11 +12,11 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from morph_engine.config.method_options import names, options_of
 from morph_engine.config.morph_config import MorphConfig
-from morph_engine.config.sections import SharedConfig
 from morph_engine.config.version_0_1 import renamed
 from morph_engine.errors import ConfigError, MorphError, unknown_name
+from morph_engine.methods.registry import names, options_of
+from morph_engine.sections import SharedConfig
 
 _PREFIX = "method."
 

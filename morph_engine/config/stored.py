@@ -7,10 +7,18 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from morph_engine.config.method_options import ForeignOptions, names, options_of
 from morph_engine.config.morph_config import MorphConfig
 from morph_engine.config.settings import option_fields, shared_fields
 from morph_engine.config.version_0_1 import converted, is_old
+from morph_engine.methods.options import MethodOptions
+from morph_engine.methods.registry import names, options_of
+
+
+class ForeignOptions(MethodOptions, extra="allow"):
+    """Stored options of a method that is not installed, or that is of another version.
+
+    They are shown as they were stored, and cannot be run.
+    """
 
 
 def stored_config(document: Any) -> MorphConfig:

@@ -7,11 +7,11 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config.sections import ChamferConfig
 from morph_engine.losses.cell_search import restrict_to_cells
 from morph_engine.losses.gaussian_smoothing import GaussianSmoothing
 from morph_engine.losses.matches import Matches
 from morph_engine.mpm.grid import Grid
+from morph_engine.sections import ChamferConfig
 
 SMALLEST_GRADIENT = 1e-10  # a particle with a larger reverse gradient counts as active
 

@@ -7,8 +7,8 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config.sections import RegularizerConfig
 from morph_engine.losses.k_nearest_neighbors import k_nearest_neighbors
+from morph_engine.sections import RegularizerConfig
 
 SMALLEST_SQUARE = 1e-8  # repulsion stops growing below this squared distance [dx^2]
 

@@ -8,7 +8,18 @@ group `morph.methods`. Everything else follows: command line, presets, JSON sche
 
 from __future__ import annotations
 
-from morph_engine.config.method_options import DEFAULT_METHOD, names, options_of
-from morph_engine.methods.method import FrameOutcome, Method, Problem, find
+from morph_engine.methods.method import FrameOutcome, Method, Problem
+from morph_engine.methods.options import CostRates, MethodOptions
+from morph_engine.methods.registry import DEFAULT_METHOD, find, names, options_of
 
-__all__ = ["DEFAULT_METHOD", "FrameOutcome", "Method", "Problem", "find", "names", "options_of"]
+__all__ = [
+    "DEFAULT_METHOD",
+    "CostRates",
+    "FrameOutcome",
+    "Method",
+    "MethodOptions",
+    "Problem",
+    "find",
+    "names",
+    "options_of",
+]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import losses
-from morph_engine.config.sections import Count
 from morph_engine.methods.method import Problem
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+from morph_engine.sections import Count
 
 if TYPE_CHECKING:
     from morph_engine.losses import WeightedChamfer

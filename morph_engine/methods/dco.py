@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from morph_engine import losses
-from morph_engine.config.sections import RegularizerConfig
 from morph_engine.methods.method import Problem
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+from morph_engine.sections import RegularizerConfig
 
 if TYPE_CHECKING:
     from morph_engine.losses import WeightedChamfer

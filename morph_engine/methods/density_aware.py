@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from morph_engine import losses
-from morph_engine.config import CostRates
-from morph_engine.config.sections import Positive
+from morph_engine.methods.options import CostRates
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+from morph_engine.sections import Positive
 
 if TYPE_CHECKING:
     from morph_engine.losses import DensityAwareChamfer

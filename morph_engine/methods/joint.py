@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import Field
 
 from morph_engine import losses, optimization
-from morph_engine.config.sections import (
+from morph_engine.methods.physics import ControlMethod, ControlOptions
+from morph_engine.sections import (
     ChamferConfig,
     JointOptimizerConfig,
     SmoothingConfig,
     WeightedGridLossConfig,
 )
-from morph_engine.methods.physics import ControlMethod, ControlOptions
 
 if TYPE_CHECKING:
     from morph_engine.losses import GridMassLoss

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.config import MethodOptions, MorphConfig
-from morph_engine.config.method_options import options_of
 from morph_engine.errors import ConfigError
+from morph_engine.methods.options import MethodConfig, MethodOptions
 
 if TYPE_CHECKING:
     from morph_engine.backend import Backend
@@ -32,7 +31,7 @@ class Problem:
 
     source: NDArray[np.float32]
     target: NDArray[np.float32]
-    config: MorphConfig
+    config: MethodConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ class Method(ABC, Generic[OptionsT]):
             for argument in get_args(base):
                 if isinstance(argument, type) and issubclass(argument, MethodOptions):
                     cls.Options = argument
-                    _methods[argument] = cls
+                    classes[argument] = cls
 
     def __init__(self, problem: Problem) -> None:
         options = problem.config.method
@@ -116,13 +115,5 @@ class Method(ABC, Generic[OptionsT]):
         """Take up a state that `state` returned."""
 
 
-_methods: dict[type[MethodOptions], type[Method[Any]]] = {}
-
-
-def find(name: str) -> type[Method[Any]]:
-    """The class of a method.
-
-    Raises:
-        ConfigError: There is no such method.
-    """
-    return _methods[options_of(name)]
+classes: dict[type[MethodOptions], type[Method[Any]]] = {}
+"""The class of each method by that of its options."""

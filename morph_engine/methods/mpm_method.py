@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import losses, mpm
-from morph_engine.config import MethodOptions
-from morph_engine.config.sections import (
+from morph_engine.methods.method import FrameOutcome, Method, Problem
+from morph_engine.methods.options import MethodOptions
+from morph_engine.sections import (
     AdjointConfig,
     GridConfig,
     Kernel,
@@ -18,7 +19,6 @@ from morph_engine.config.sections import (
     TimeConfig,
     WatchdogConfig,
 )
-from morph_engine.methods.method import FrameOutcome, Method, Problem
 
 if TYPE_CHECKING:
     from morph_engine.mpm import Layer, Simulation

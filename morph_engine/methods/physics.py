@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import losses, optimization
-from morph_engine.config.sections import (
+from morph_engine.methods.method import FrameOutcome, Problem
+from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
+from morph_engine.sections import (
     AdjointConfig,
     GridLossConfig,
     OptimizerConfig,
     RestartingWatchdogConfig,
     SmoothingConfig,
 )
-from morph_engine.methods.method import FrameOutcome, Problem
-from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
 
 if TYPE_CHECKING:
     from morph_engine.losses import GridMassLoss

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import geometry, losses, optimization
-from morph_engine.config import CostRates, MethodOptions
-from morph_engine.config.sections import DescentConfig
 from morph_engine.errors import SimulationError
 from morph_engine.methods.method import FrameOutcome, Method, Problem
+from morph_engine.methods.options import CostRates, MethodOptions
+from morph_engine.sections import DescentConfig
 
 if TYPE_CHECKING:
     from morph_engine.optimization import AMSGrad

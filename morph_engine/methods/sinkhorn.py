@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import losses, mpm
-from morph_engine.config import CostRates
-from morph_engine.config.sections import Count, Kernel, Positive
+from morph_engine.methods.options import CostRates
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
+from morph_engine.sections import Count, Kernel, Positive
 
 if TYPE_CHECKING:
     from morph_engine.losses import SinkhornDivergence

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from morph_engine import losses
-from morph_engine.config import CostRates
+from morph_engine.methods.options import CostRates
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import mpm, optimal_transport
-from morph_engine.config import CostRates
-from morph_engine.config.sections import NonNegative
 from morph_engine.errors import SimulationError
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
+from morph_engine.methods.options import CostRates
+from morph_engine.sections import NonNegative
 
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""

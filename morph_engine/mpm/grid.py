@@ -13,8 +13,8 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine.backend import CPU_CHUNK_COUNT
-from morph_engine.config.sections import GridConfig, Kernel
 from morph_engine.errors import ConfigError
+from morph_engine.sections import GridConfig, Kernel
 
 PADDING = 2
 LARGEST_INDEX = 2**27 - 1  # of a node, all private grids together

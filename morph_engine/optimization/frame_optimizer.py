@@ -12,7 +12,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Literal
 
-from morph_engine.config.sections import OptimizerConfig
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMassLoss
@@ -23,6 +22,7 @@ from morph_engine.optimization.layer_optimizer import LayerOptimizer, Norm
 from morph_engine.optimization.line_search import backtrack
 from morph_engine.optimization.schedule import FrameWeights
 from morph_engine.optimization.watchdog import Event
+from morph_engine.sections import OptimizerConfig
 
 SMALLEST = 1e-12
 

@@ -7,7 +7,7 @@ import taichi as ti
 
 from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_STRIDE
-from morph_engine.config.sections import OptimizerConfig
+from morph_engine.sections import OptimizerConfig
 
 NORM_CHUNKS = 16
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from morph_engine.config.sections import (
+from morph_engine.sections import (
     ChamferConfig,
     SmoothingConfig,
     WeightedGridLossConfig,

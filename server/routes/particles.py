@@ -18,7 +18,7 @@ from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes import meshes
 from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.sandbox.computations import SampledShape, sample_shape
-from morph_engine.config.sections import GridConfig
+from morph_engine.sections import GridConfig
 
 router = APIRouter()
 

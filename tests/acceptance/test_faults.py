@@ -18,7 +18,7 @@ from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
-from morph_engine.config.sections import GridConfig
+from morph_engine.sections import GridConfig
 
 pytestmark = [
     pytest.mark.faults,

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.corruption import cases, inspect
 from morph_engine.errors import MeshError
-from morph_engine.geometry.ingest import check_mesh
 from morph_engine.geometry.mesh import load_mesh
+from morph_engine.ingest import check_mesh
 
 
 @pytest.mark.parametrize("case", tuple(cases(6, seed=20)), ids=lambda case: case.name)

@@ -9,7 +9,7 @@ from typing import Literal
 import pytest
 
 from morph_engine import methods, presets
-from morph_engine.config import MethodOptions, MorphConfig, setting_fields, stored_config
+from morph_engine.config import MorphConfig, setting_fields, stored_config
 from morph_engine.errors import ConfigError
 from morph_engine.optimization import joint_weights, physics_weights
 from morph_engine.presets import configure
@@ -137,7 +137,7 @@ def test_an_option_may_not_hide_a_shared_setting() -> None:
     """Its path would mean two things."""
     with pytest.raises(ConfigError, match="an option called 'grid'"):
 
-        class HidingOptions(MethodOptions):
+        class HidingOptions(methods.MethodOptions):
             """Refused."""
 
             name: Literal["hiding"] = "hiding"

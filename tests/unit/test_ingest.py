@@ -11,14 +11,14 @@ import trimesh
 
 from morph_engine.cost import estimate
 from morph_engine.errors import MeshError
-from morph_engine.geometry.ingest import (
+from morph_engine.geometry.mesh import load_mesh, make_mesh
+from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.ingest import (
     AMBIGUOUS_LIMIT,
     ambiguous_winding,
     check_mesh,
     inspect_mesh,
 )
-from morph_engine.geometry.mesh import load_mesh, make_mesh
-from morph_engine.geometry.sampling import sample_lattice
 
 MESHES = Path(os.environ.get("MORPH_MESHES", Path(__file__).parents[3] / "shared" / "meshes"))
 needs_meshes = pytest.mark.skipif(

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.config.sections import ChamferConfig
 from morph_engine.losses.cell_search import search_cells
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.gaussian_smoothing import GaussianSmoothing
 from morph_engine.losses.grid_mass import GridMass, GridMassLoss
 from morph_engine.losses.matches import Matches
 from morph_engine.mpm.grid import Grid
+from morph_engine.sections import ChamferConfig
 
 pytestmark = pytest.mark.usefixtures("float64_device")
 GRID = Grid(half_extent=4.0)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from morph_engine import Trajectory, backend, methods, morph, presets
 from morph_engine.config import MorphConfig
-from morph_engine.config.sections import RegularizerConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.losses.density_aware_chamfer import DensityAwareChamfer
@@ -24,6 +23,7 @@ from morph_engine.methods import Method, Problem
 from morph_engine.optimization.amsgrad import AMSGrad
 from morph_engine.optimization.control_lattice import ControlLattice
 from morph_engine.presets import configure
+from morph_engine.sections import RegularizerConfig
 
 POINT_METHODS = ("dco", "dcd", "density_aware", "shared_basis")
 REGULARISED = {

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from morph_engine.errors import MeshError
-from morph_engine.geometry.ingest import check_mesh
 from morph_engine.geometry.sampling import FIT_HALF_EXTENT, REFERENCE_VOLUME
 from morph_engine.geometry.shapes import _heart, make, names, resolve_shape
 from morph_engine.geometry.topology import Topology
 from morph_engine.geometry.winding_number import inside
+from morph_engine.ingest import check_mesh
 
 
 def parts(mesh):

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from morph_engine.geometry.ingest import check_mesh
-from morph_engine.geometry.ingest import inspect_mesh as ingest_report
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.sampling import fit_to_domain
+from morph_engine.ingest import check_mesh
+from morph_engine.ingest import inspect_mesh as ingest_report
 
 
 def run(path: Path, name: str) -> dict[str, Any]:

@@ -9,10 +9,10 @@ import numpy as np
 
 from chamfer_morph.schemas import Fit
 from chamfer_morph.worker.sandbox.runner import Answer
-from morph_engine.geometry.ingest import check_mesh
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.sampling import HALF_EXTENT, fit_to_domain, sample_lattice
 from morph_engine.geometry.shapes import make
+from morph_engine.ingest import check_mesh
 
 
 def run(path: Path | None, name: str, points_per_cell_edge: int, fit: Fit) -> Answer:

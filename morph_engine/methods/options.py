@@ -1,26 +1,14 @@
-"""What a method declares: its options, its values under the presets and its cost.
-
-Every class of options with a name is known from its definition on. The modules of
-`morph_engine.methods` and those that other packages name by an entry point of the group
-`morph.methods` are imported when somebody asks for methods; they must not import Taichi.
-"""
+"""What a method declares: its options, its values under the presets and its cost."""
 
 from __future__ import annotations
 
-import pkgutil
-import warnings
 from collections.abc import Mapping
-from functools import cache
-from importlib import import_module, metadata
 from typing import Any, ClassVar, NamedTuple
 
-from morph_engine.config.sections import GridConfig, Section, SharedConfig
-from morph_engine.errors import ConfigError, unknown_name
+from pydantic import SerializeAsAny, model_validator
 
-ENTRY_POINTS = "morph.methods"
-"""Entry points of this group name modules, or classes, that define methods."""
-
-DEFAULT_METHOD = "transport"
+from morph_engine.errors import ConfigError
+from morph_engine.sections import GridConfig, Section, SharedConfig
 
 
 class CostRates(NamedTuple):
@@ -64,10 +52,10 @@ class MethodOptions(Section):
                 f"Method {name!r} has an option called {min(shared)!r}, as all methods have.",
                 "Choose another name for the option.",
             )
-        other = _known.get(name, cls)
+        other = declared.get(name, cls)
         if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             raise ConfigError(f"There is a method called {name!r}.", "Choose another name.")
-        _known[name] = cls
+        declared[name] = cls
 
     @classmethod
     def summary(cls) -> str:
@@ -82,44 +70,26 @@ class MethodOptions(Section):
         """
 
 
-class ForeignOptions(MethodOptions, extra="allow"):
-    """Stored options of a method that is not installed, or that is of another version.
-
-    They are shown as they were stored, and cannot be run.
-    """
+declared: dict[str, type[MethodOptions]] = {}
+"""Every class of options with a name, from its definition on."""
 
 
-_known: dict[str, type[MethodOptions]] = {}
+class MethodConfig(SharedConfig):
+    """What all methods share, and the options of one method."""
 
+    method: SerializeAsAny[MethodOptions]
 
-def names() -> tuple[str, ...]:
-    """Names of all methods, the default first."""
-    _discover()
-    return (DEFAULT_METHOD, *sorted(_known.keys() - {DEFAULT_METHOD}))
+    @property
+    def spacing(self) -> float:
+        """Lattice spacing h [grid units]."""
+        return self.grid.dx / self.sampling.points_per_cell_edge
 
+    @property
+    def domain(self) -> float:
+        """Particles stay in [-domain, domain]^3 [grid units]."""
+        return self.grid.half_extent - self.grid.margin * self.grid.dx
 
-def options_of(name: str) -> type[MethodOptions]:
-    """The options of a method.
-
-    Raises:
-        ConfigError: There is no such method.
-    """
-    _discover()
-    if name not in _known:
-        raise unknown_name("method", name, names())
-    return _known[name]
-
-
-@cache
-def _discover() -> None:
-    """Import every module that defines methods; one of another package that fails is left out."""
-    package = import_module("morph_engine.methods")
-    for module in pkgutil.iter_modules(package.__path__):
-        import_module(f"{package.__name__}.{module.name}")
-    for entry_point in metadata.entry_points(group=ENTRY_POINTS):
-        try:
-            entry_point.load()
-        except Exception as error:
-            warnings.warn(
-                f"Methods of {entry_point.value} cannot be used: {error}", RuntimeWarning, 2
-            )
+    @model_validator(mode="after")
+    def _consistent(self) -> MethodConfig:
+        self.method.check_grid(self.grid)
+        return self
