@@ -23,6 +23,7 @@ from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points
 from morph_engine.geometry.sampling import SAFE_HALF_EXTENT, sample_lattice
 from morph_engine.geometry.shapes import resolve_shape
+from morph_engine.geometry.topology import triangle_areas
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
@@ -177,7 +178,9 @@ def compare(
     if b is not None:
         particles, goal = _in_grid_units(particles, goal), _in_grid_units(goal, particles)
     if spacing is None and reference == "surface" and goal.mesh is not None:
-        spacing = math.sqrt(_areas(goal.mesh).sum() / sample_count)
+        spacing = math.sqrt(
+            triangle_areas(goal.mesh.vertices, goal.mesh.faces).sum() / sample_count
+        )
     spacing = spacing or particles.spacing or goal.spacing or DEFAULT_SPACING
 
     def cloud(shape: _Shape) -> npt.NDArray[Any]:
@@ -212,7 +215,7 @@ def sample_surface(mesh: Mesh, *, count: int, seed: int) -> Points:
         Points in the mesh's coordinates, shape [m, 3], float64.
     """
     rng = np.random.default_rng(seed)
-    area = _areas(mesh)
+    area = triangle_areas(mesh.vertices, mesh.faces)
     drawn = mesh.faces[rng.choice(len(area), count, p=area / area.sum())]
     corner, first, second = np.moveaxis(mesh.vertices[drawn], 1, 0)
     # uniform in the unit square, folded along its diagonal onto the triangle
@@ -220,15 +223,6 @@ def sample_surface(mesh: Mesh, *, count: int, seed: int) -> Points:
     u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
     points: Points = corner + u * (first - corner) + v * (second - corner)
     return points
-
-
-def _areas(mesh: Mesh) -> npt.NDArray[np.float64]:
-    """Area of each triangle, shape [f]."""
-    corner, first, second = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    area: npt.NDArray[np.float64] = np.linalg.norm(
-        np.cross(first - corner, second - corner), axis=1
-    )
-    return area / 2
 
 
 @dataclass(frozen=True)

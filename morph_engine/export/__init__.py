@@ -15,7 +15,7 @@ from morph_engine.export.format import Format
 from morph_engine.files import replacing
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.selection import Selection, Units
-from morph_engine.results.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
 
@@ -92,39 +92,24 @@ def export(
     """
     chosen, path = find(format), Path(path)
     check(format, surface=surface, fields=fields)
-    if isinstance(result, (str, Path)):
-        with Trajectory(result) as trajectory:
-            return export(
-                trajectory,
-                path,
-                format,
-                frames=frames,
-                surface=surface,
-                units=units,
-                fields=fields,
-                watch=watch,
-            )
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix
-    selection = Selection(
-        result,
-        _indices(result, frames, only_last=single),
-        surface=surface,
-        units=units,
-        fields=tuple(fields),
-        watch=watch,
-    )
-    if single and len(selection.frames) > 1:
-        raise ConfigError(
-            f"A {chosen.suffix} file holds one frame, and {len(selection.frames)} are asked for.",
-            "Name a file that ends in .zip, or a folder.",
+    with opened(result) as trajectory:
+        selection = Selection(
+            trajectory,
+            _indices(trajectory, frames, only_last=single),
+            surface=surface,
+            units=units,
+            fields=tuple(fields),
+            watch=watch,
         )
-    try:
-        _write(chosen, selection, path)
-    except OSError as error:
-        raise ResultError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some disk space, or choose another place.",
-        ) from error
+        count = len(selection.frames)
+        if single and count > 1:
+            raise ConfigError(
+                f"A {chosen.suffix} file holds one frame, and {count} are asked for.",
+                "Name a file that ends in .zip, or a folder.",
+            )
+        with writing(path):
+            _write(chosen, selection, path)
     return path
 
 

@@ -25,8 +25,6 @@ FORMAT = Format(
     suffix=".csv",
     media_type="text/csv",
     kind="table",
-    carries=frozenset(),
-    extra=None,
     description="Metrics by frame; spreadsheets, pandas",
     write=write,
 )

@@ -30,9 +30,9 @@ class Format:
 
     name: str
     suffix: str
-    media_type: str
     kind: Kind
-    carries: frozenset[str]
-    extra: str | None
     description: str
     write: Callable[[Selection, Path], Any] = field(repr=False, compare=False)
+    carries: frozenset[str] = frozenset()
+    media_type: str = "application/octet-stream"
+    extra: str | None = None

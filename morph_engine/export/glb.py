@@ -48,7 +48,6 @@ FORMAT = Format(
     media_type="model/gltf-binary",
     kind="frame",
     carries=frozenset({"points", "surface", "fields"}),
-    extra=None,
     description="Points or a surface, coloured by the first field; browsers, Blender, game engines",
     write=write,
 )

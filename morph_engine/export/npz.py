@@ -38,10 +38,8 @@ def write(selection: Selection, path: Path) -> None:
 FORMAT = Format(
     name="npz",
     suffix=".npz",
-    media_type="application/octet-stream",
     kind="sequence",
     carries=frozenset({"points", "fields"}),
-    extra=None,
     description="All frames and fields as arrays; numpy.load",
     write=write,
 )

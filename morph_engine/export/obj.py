@@ -28,7 +28,6 @@ FORMAT = Format(
     media_type="model/obj",
     kind="frame",
     carries=frozenset({"points", "surface"}),
-    extra=None,
     description="Points or a surface as text; every 3D program",
     write=write,
 )

@@ -42,10 +42,8 @@ def write(selection: Selection, path: Path) -> None:
 FORMAT = Format(
     name="ply",
     suffix=".ply",
-    media_type="application/octet-stream",
     kind="frame",
     carries=frozenset({"points", "surface", "fields"}),
-    extra=None,
     description="Points or a surface with field values; Blender, MeshLab, CloudCompare, ParaView",
     write=write,
 )

@@ -23,7 +23,6 @@ FORMAT = Format(
     media_type="model/stl",
     kind="frame",
     carries=frozenset({"surface"}),
-    extra=None,
     description="A surface as loose triangles; CAD and 3D printing",
     write=write,
 )

@@ -39,7 +39,6 @@ GIF = Format(
     media_type="image/gif",
     kind="sequence",
     carries=frozenset({"points", "surface", "fields"}),
-    extra=None,
     description="A short video in 256 colours; everywhere",
     write=partial(write, kind="gif"),
 )

@@ -21,7 +21,7 @@ import trimesh
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import finite_points
-from morph_engine.geometry.topology import signed_volume
+from morph_engine.geometry.topology import signed_volume, triangle_areas
 
 KERNEL_OVER_H = 2.5
 """Reach of the kernel over the lattice spacing. At 2, a fill of uneven density tears into splinters
@@ -98,8 +98,7 @@ class Surface:
     @cached_property
     def part_areas(self) -> npt.NDArray[np.float64]:
         """Area of each part [dx^2], shape [bodies], float64."""
-        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
-        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        areas = triangle_areas(self.vertices, self.faces)
         return np.bincount(self.part_of_face, weights=areas).astype(np.float64)
 
 

@@ -88,6 +88,15 @@ def signed_volume(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32
     return float(_face_volumes(vertices, faces).sum())
 
 
+def triangle_areas(
+    vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
+) -> npt.NDArray[np.float64]:
+    """Area of each triangle, shape [f], float64."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    areas: npt.NDArray[np.float64] = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return areas
+
+
 def _face_volumes(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.float64]:

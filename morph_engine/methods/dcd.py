@@ -47,9 +47,6 @@ class Dcd(PointOptimization[DcdOptions]):
         super().restore(state)
         self._weigh(state["weights"])
 
-    def _make_loss(self) -> WeightedChamfer:
-        return losses.WeightedChamfer(self._matches)
-
     def _begin(self, frame: int) -> None:
         if frame % self.options.refresh_frames == 0:
             self._weigh(self._weights(self._x.to_numpy()))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from morph_engine import losses
 from morph_engine.methods.method import Problem
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
 from morph_engine.sections import RegularizerConfig
-
-if TYPE_CHECKING:
-    from morph_engine.losses import WeightedChamfer
 
 
 class DcoOptions(PointOptions):
@@ -26,9 +23,6 @@ class Dco(PointOptimization[DcoOptions]):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         self._regularizers = losses.Regularizers(problem.source, self.options.regularizers)
-
-    def _make_loss(self) -> WeightedChamfer:
-        return losses.WeightedChamfer(self._matches)
 
     def _begin(self, frame: int) -> None:
         self._regularizers.rebuild(self._x)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -92,9 +91,9 @@ class PointOptimization(Method[PointOptionsT], Generic[PointOptionsT]):
         self._matches.rebuild(self._x)
         self._matches.update(self._x)
 
-    @abstractmethod
     def _make_loss(self) -> PointLoss:
-        """The loss that is descended."""
+        """The loss that is descended, by default the Chamfer distance."""
+        return losses.WeightedChamfer(self._matches)
 
     def _make_optimizer(self) -> AMSGrad:
         """The optimiser of the variables, which are the positions."""

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from morph_engine import losses, optimization
+from morph_engine import optimization
 from morph_engine.methods.options import CostRates
 from morph_engine.methods.point_optimization import PointOptimization, PointOptions
 from morph_engine.sections import DescentConfig, Positive
 
 if TYPE_CHECKING:
-    from morph_engine.losses import WeightedChamfer
     from morph_engine.optimization import AMSGrad
 
 
@@ -47,9 +46,6 @@ class SharedBasis(PointOptimization[SharedBasisOptions]):
         """Take up a state that `state` returned."""
         super().restore(state)
         self._control.from_numpy(state["control"])
-
-    def _make_loss(self) -> WeightedChamfer:
-        return losses.WeightedChamfer(self._matches)
 
     def _make_optimizer(self) -> AMSGrad:
         device = self.device

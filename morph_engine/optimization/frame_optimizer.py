@@ -46,7 +46,6 @@ class FrameReport:
 
     Attributes:
         losses: Loss values of the final state.
-        first_losses: Loss values before the first control step.
         accepted: Accepted control steps.
         failed: Control steps of which every trial was rejected.
         dt: Time step used [s].
@@ -54,7 +53,6 @@ class FrameReport:
     """
 
     losses: Losses = Losses(math.nan, math.nan)
-    first_losses: Losses = Losses(math.nan, math.nan)
     accepted: int = 0
     failed: int = 0
     dt: float = math.nan
@@ -143,7 +141,6 @@ class FrameOptimizer:
                 )
             simulation.dt /= 2
             report.events.append(watchdog.restarted(frame, simulation.dt, cause))
-        report.first_losses = self._losses
         for pass_index in range(self._config.passes):
             for group in self._groups:
                 if self._control_step(group, pass_index):

@@ -20,7 +20,7 @@ from morph_engine.rendering.video_encoder import VideoKind, write_video
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.selection import Selection
-from morph_engine.results.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["Camera", "VideoKind", "height_colors", "look", "picture", "thumbnail", "video"]
 
@@ -253,42 +253,23 @@ def video(
         )
     if field:
         find_field(field)
-    if isinstance(result, (str, Path)):
-        with Trajectory(result) as trajectory:
-            return video(
-                trajectory,
-                path,
-                field=field,
-                turntable=turntable,
-                surface=surface,
-                size=size,
-                fps=fps,
-                frames=frames,
-                up=up,
-                kind=chosen,
-                watch=watch,
-            )
-    if not result.frame_count:
-        raise ResultError(f"{result.path} has no frames.", "Resume the run first.")
-    indices = range(result.frame_count) if frames is None else map(result.index, frames)
-    selection = Selection(
-        result,
-        tuple(indices),
-        surface=surface,
-        units="grid",
-        fields=(field,) if field else (),
-        watch=watch,
-    )
-    pictures = _pictures(selection, look(up=up), size, turntable=turntable)
-    held = _resting(pictures, round(HOLD_SECONDS * fps))
-    try:
-        with replacing(path) as temporary:
+    with opened(result) as trajectory:
+        if not trajectory.frame_count:
+            raise ResultError(f"{trajectory.path} has no frames.", "Resume the run first.")
+        selection = Selection(
+            trajectory,
+            tuple(
+                range(trajectory.frame_count) if frames is None else map(trajectory.index, frames)
+            ),
+            surface=surface,
+            units="grid",
+            fields=(field,) if field else (),
+            watch=watch,
+        )
+        pictures = _pictures(selection, look(up=up), size, turntable=turntable)
+        held = _resting(pictures, round(HOLD_SECONDS * fps))
+        with writing(path), replacing(path) as temporary:
             write_video(temporary, held, kind=chosen, fps=fps)
-    except OSError as error:
-        raise ResultError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            "Free some disk space, or choose another place.",
-        ) from error
     return path
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -119,7 +118,12 @@ def field(
     """
     find(name)
     if name == "det_f":
-        return _stored(det_f)
+        if det_f is None:
+            raise ResultError(
+                "This frame holds no det F.",
+                "Choose another field; det F is stored by transport, joint and physics.",
+            )
+        return np.asarray(det_f, np.float32)
     points, finite = finite_points(positions)
     frame = _Frame(
         points=points,
@@ -132,13 +136,13 @@ def field(
     )
     values = np.full(len(finite), np.nan, np.float32)
     if len(points):
-        values[finite] = _COMPUTED[name](frame)
+        values[finite] = getattr(frame, name)()
     return values
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A frame's finite particles and what they are compared with."""
+    """A frame's finite particles and what they are compared with; a method per field."""
 
     points: Points
     finite: npt.NDArray[np.bool_]
@@ -160,73 +164,48 @@ class _Frame:
         gaps, _ = self.target_tree.query(self.target, k=[2], workers=self.workers)
         return float(np.median(gaps))
 
+    def displacement(self) -> Points:
+        return _lengths(self.points - self.source[self.finite])
 
-def _stored(det_f: npt.ArrayLike | None) -> Values:
-    if det_f is None:
-        raise ResultError(
-            "This frame holds no det F.",
-            "Choose another field; det F is stored by transport, joint and physics.",
+    def speed(self) -> Points:
+        return _lengths(self.points - self.previous[self.finite])
+
+    def target_distance(self) -> Points:
+        distance: Points = self.target_tree.query(self.points, workers=self.workers)[0]
+        return distance
+
+    def density(self) -> Points:
+        """Particles over target points within a ball, over N / M, as rho of the metrics.
+
+        Where the target is absent there is nothing to compare with, and half of a full ball is
+        expected, which is what a particle at a free surface sees; one at a corner then counts as
+        thin.
+        """
+        here, wanted = (
+            cloud.query_ball_point(
+                self.points, DENSITY_RADIUS, return_length=True, workers=self.workers
+            )
+            for cloud in (scipy.spatial.cKDTree(self.points), self.target_tree)
         )
-    return np.asarray(det_f, np.float32)
+        full = 4 / 3 * np.pi * DENSITY_RADIUS**3 / self.spacing**3
+        even = np.maximum(wanted, full / 2) * (len(self.points) / len(self.target))
+        ratio: Points = here / even
+        return ratio
 
+    def target_hits(self) -> npt.NDArray[np.intp]:
+        _, nearest = self.target_tree.query(self.points, workers=self.workers)
+        hits: npt.NDArray[np.intp] = np.bincount(nearest)[nearest]
+        return hits
 
-def _displacement(frame: _Frame) -> Points:
-    return _lengths(frame.points - frame.source[frame.finite])
-
-
-def _speed(frame: _Frame) -> Points:
-    return _lengths(frame.points - frame.previous[frame.finite])
+    def overlap(self) -> Points:
+        distinct, which, copies = np.unique(
+            self.points, axis=0, return_inverse=True, return_counts=True
+        )
+        tree = scipy.spatial.cKDTree(distinct)
+        gap = distance_to_other(distinct, copies, tree, workers=self.workers)
+        return gap[which.reshape(-1)] / self.spacing
 
 
 def _lengths(vectors: Points) -> Points:
     lengths: Points = np.sqrt(np.einsum("pi,pi->p", vectors, vectors))
     return lengths
-
-
-def _target_distance(frame: _Frame) -> Points:
-    distance: Points = frame.target_tree.query(frame.points, workers=frame.workers)[0]
-    return distance
-
-
-def _density(frame: _Frame) -> Points:
-    """Particles over target points within a ball, over N / M, as rho of the metrics.
-
-    Where the target is absent there is nothing to compare with, and half of a full ball is
-    expected, which is what a particle at a free surface sees; one at a corner then counts as thin.
-    """
-    count, tree = frame.workers, scipy.spatial.cKDTree(frame.points)
-    here, wanted = (
-        cloud.query_ball_point(frame.points, DENSITY_RADIUS, return_length=True, workers=count)
-        for cloud in (tree, frame.target_tree)
-    )
-    full = 4 / 3 * np.pi * DENSITY_RADIUS**3 / frame.spacing**3
-    even = np.maximum(wanted, full / 2) * (len(frame.points) / len(frame.target))
-    ratio: Points = here / even
-    return ratio
-
-
-def _target_hits(frame: _Frame) -> npt.NDArray[np.intp]:
-    _, nearest = frame.target_tree.query(frame.points, workers=frame.workers)
-    hits: npt.NDArray[np.intp] = np.bincount(nearest)[nearest]
-    return hits
-
-
-def _overlap(frame: _Frame) -> Points:
-    distinct, which, copies = np.unique(
-        frame.points, axis=0, return_inverse=True, return_counts=True
-    )
-    gap = distance_to_other(
-        distinct, copies, scipy.spatial.cKDTree(distinct), workers=frame.workers
-    )
-    overlap: Points = gap[which.reshape(-1)] / frame.spacing
-    return overlap
-
-
-_COMPUTED: dict[str, Callable[[_Frame], npt.NDArray[np.floating | np.integer]]] = {
-    "displacement": _displacement,
-    "speed": _speed,
-    "target_distance": _target_distance,
-    "density": _density,
-    "target_hits": _target_hits,
-    "overlap": _overlap,
-}

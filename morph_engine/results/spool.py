@@ -66,9 +66,6 @@ class Checkpoint:
 class SpoolReader:
     """The frames that a run has finished by now, while another process may be writing it.
 
-    Args:
-        result_path: The result file it belongs to.
-
     Attributes:
         path: The run directory, which need not be there.
         result_path: The result file it belongs to.
@@ -95,13 +92,7 @@ class SpoolReader:
         return _read_run(self.path)
 
     def positions(self, frame: int) -> NDArray[np.float32]:
-        """Positions of a finished frame.
-
-        Args:
-            frame: Index of the frame, from 0.
-
-        Returns:
-            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+        """Positions of a finished frame [dx], shape [n, 3], float32, in the original order.
 
         Raises:
             ResultError: The frame is missing or damaged.
@@ -111,13 +102,7 @@ class SpoolReader:
             return positions
 
     def det_f(self, frame: int) -> NDArray[np.float32] | None:
-        """det F of a finished frame.
-
-        Args:
-            frame: Index of the frame, from 0.
-
-        Returns:
-            det F of each particle [ratio], shape [n], float32; None where the method has none.
+        """det F of a finished frame [ratio], shape [n], float32; None where the method has none.
 
         Raises:
             ResultError: The frame is missing or damaged.
@@ -141,15 +126,12 @@ class Spool(SpoolReader):
 
     @classmethod
     def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
-        """Start a run directory beside the result file to come.
+        """Start a run directory beside the result file to come, locked for this process.
 
         Args:
             result_path: The result file.
             run: What the run is made of.
             replace: Discard an unfinished run found there.
-
-        Returns:
-            The empty spool, locked for this process.
 
         Raises:
             ResultError: Another process writes it, an unfinished run stands there, or the disk
@@ -185,9 +167,6 @@ class Spool(SpoolReader):
             result_path: The result file it belongs to.
             run: What the run must be made of; None accepts any.
             writable: Lock it to go on with the run; False only reads what is finished by now.
-
-        Returns:
-            The spool with all its finished frames.
 
         Raises:
             ResultError: There is none, another process writes it, it is damaged, or it is of
@@ -273,12 +252,7 @@ class Spool(SpoolReader):
     def save_checkpoint(
         self, frame: int, arrays: Mapping[str, NDArray[Any]], scalars: Mapping[str, Any]
     ) -> None:
-        """Replace the checkpoint by the state after a finished frame.
-
-        Args:
-            frame: Index of the last frame the state includes.
-            arrays: All array state, any dtype but object.
-            scalars: All other state, JSON only.
+        """Replace the checkpoint by the state after a finished frame, see `Checkpoint`.
 
         Raises:
             ResultError: The disk refuses; the previous checkpoint stands.
@@ -305,10 +279,7 @@ class Spool(SpoolReader):
             return Checkpoint(state["frame"], arrays, state["scalars"])
 
     def truncate_after(self, frame: int) -> None:
-        """Forget all frames beyond one, before the run goes on from its checkpoint.
-
-        Args:
-            frame: Index of the last frame to keep; -1 forgets all.
+        """Forget all frames beyond one (-1: all), before the run goes on from its checkpoint.
 
         Raises:
             ResultError: That frame is not there, or the disk refuses.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -43,9 +43,6 @@ def write_result(spool: Spool, path: str | Path | None = None, *, status: Status
         path: The file to write or to replace; None means the spool's own result file.
         status: "complete", or "partial" for a run that was stopped.
 
-    Returns:
-        The path of the file, which is on the disk as a whole.
-
     Raises:
         ResultError: A frame of the spool is damaged, or the disk refuses.
     """
@@ -55,15 +52,25 @@ def write_result(spool: Spool, path: str | Path | None = None, *, status: Status
     with h5py.File(image, "w", libver=("v110", "v110")) as file:
         _write_vtk(file.create_group("VTKHDF"), spool)
         _write_morph(file.create_group("morph"), spool, status)
-    try:
+    with writing(path, f"Free some disk space and resume; the frames are safe in {spool.path}."):
         with replacing(path) as temporary:
             temporary.write_bytes(image.getbuffer())
-    except OSError as error:
-        raise ResultError(
-            f"Cannot write {path} ({error.strerror or error}).",
-            f"Free some disk space and resume; the frames are safe in {spool.path}.",
-        ) from error
     return path
+
+
+@contextmanager
+def writing(
+    path: Path, remedy: str = "Free some disk space, or choose another place."
+) -> Iterator[None]:
+    """Say what the disk refuses.
+
+    Raises:
+        ResultError: The body raised an `OSError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ResultError(f"Cannot write {path} ({error.strerror or error}).", remedy) from error
 
 
 def _write_vtk(root: h5py.Group, spool: Spool) -> None:
@@ -157,10 +164,8 @@ def _store_json(group: h5py.Group, name: str, value: Any) -> None:
 class Trajectory:
     """A result file, open for reading; close it with `close` or `with`.
 
-    Arrays are read when asked for. Iterating yields the positions of each frame in order.
-
-    Args:
-        path: The result file.
+    Arrays are read when asked for. Iterating yields the positions of each frame in order. Frames
+    are named by their index from 0; negative ones count from the end.
 
     Attributes:
         path: The result file.
@@ -205,13 +210,7 @@ class Trajectory:
         return cls(path)
 
     def positions(self, frame: int) -> NDArray[np.float32]:
-        """Positions of one frame.
-
-        Args:
-            frame: Index of the frame from 0; negative counts from the end.
-
-        Returns:
-            Particle positions [dx], shape [n, 3], float32, in the original particle order.
+        """Positions of one frame [dx], shape [n, 3], float32, in the original particle order.
 
         Raises:
             ResultError: There is no such frame, or its checksum fails; others may still be read.
@@ -223,13 +222,7 @@ class Trajectory:
             return positions
 
     def positions_in_user_units(self, frame: int) -> NDArray[np.float64]:
-        """Positions of one frame in the coordinates of the user's own files.
-
-        Args:
-            frame: Index of the frame from 0; negative counts from the end.
-
-        Returns:
-            Particle positions [user's unit], shape [n, 3], float64.
+        """Positions of one frame [unit of the user's own files], shape [n, 3], float64.
 
         Raises:
             ResultError: As `positions`.
@@ -238,14 +231,10 @@ class Trajectory:
         return self.positions(frame) @ matrix[:3, :3].T + matrix[:3, 3]
 
     def det_f(self, frame: int) -> NDArray[np.float32] | None:
-        """det F of one frame.
+        """det F of each particle in one frame [ratio], shape [n], float32.
 
-        Args:
-            frame: Index of the frame from 0; negative counts from the end.
-
-        Returns:
-            det F of each particle [ratio], shape [n], float32; None where the file has none: its
-            method moves points without deforming matter, or an older version wrote it.
+        None where the file has none: its method moves points without deforming matter, or an older
+        version wrote it.
 
         Raises:
             ResultError: As `positions`.
@@ -278,9 +267,6 @@ class Trajectory:
 
     def metrics_at(self, frame: int) -> dict[str, float]:
         """Metrics of one frame by name, without those it lacks.
-
-        Args:
-            frame: Index of the frame from 0; negative counts from the end.
 
         Raises:
             ResultError: There is no such frame, or a checksum fails.
@@ -371,6 +357,11 @@ class Trajectory:
                 f"Its {self.frame_count} frames count from 0.",
             )
         return frame % self.frame_count
+
+
+def opened(result: Path | str | Trajectory) -> AbstractContextManager[Trajectory]:
+    """A result that is closed at the end if it is opened here."""
+    return nullcontext(result) if isinstance(result, Trajectory) else Trajectory(result)
 
 
 def _json(dataset: h5py.Dataset) -> Any:
