@@ -13,7 +13,7 @@ from fastapi_offline import FastAPIOffline
 from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http import openapi, problems
-from chamfer_morph.server.http.request_body import BodySizeMiddleware, BodyTimeoutMiddleware
+from chamfer_morph.server.http.request_body import BodyLimitMiddleware
 from chamfer_morph.server.routes import (
     catalog,
     events,
@@ -79,17 +79,17 @@ def create_app(settings: Settings) -> FastAPI:
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
     app.state.metrics = metrics
+    problems.install(app)
+    app.add_exception_handler(404, web_page.not_found)
     app.add_middleware(
-        BodySizeMiddleware,
-        max_body_size=settings.body_bytes,
+        BodyLimitMiddleware,
+        timeout_seconds=settings.upload_timeout_seconds,
+        max_bytes=settings.body_bytes,
         exceptions={
             "/v1/meshes": settings.upload_bytes + settings.body_bytes,
             "/v1/jobs": 2 * settings.upload_bytes + settings.body_bytes,
         },
     )
-    problems.install(app)  # outside of the one before, whose refusals are plain text
-    app.add_exception_handler(404, web_page.not_found)
-    app.add_middleware(BodyTimeoutMiddleware, timeout_seconds=settings.upload_timeout_seconds)
     app.add_middleware(health.MetricsMiddleware, metrics)
     v1 = APIRouter(prefix="/v1")
     for resource in ROUTERS:

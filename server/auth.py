@@ -5,12 +5,14 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine, Iterator
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Response
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from chamfer_morph.schemas import Scope
@@ -101,31 +103,68 @@ class Authenticator:
         raise _unauthorized("This key is unknown or revoked.")
 
 
-def require(scope: Scope) -> Callable[..., Awaitable[Caller]]:
-    """A dependency that answers the caller if the key includes a scope."""
+class RequireScope:
+    """A dependency that answers the caller if the key includes a scope.
 
-    async def caller(
+    Args:
+        scope: The scope.
+    """
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope = scope
+
+    async def __call__(
+        self,
         request: Request,
         key: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)],
     ) -> Caller:
+        """The caller.
+
+        Raises:
+            ProblemError: 401 or 403.
+        """
         if key is None and "authorization" in request.headers:
             raise _unauthorized("The Authorization header holds no bearer key.")
         authenticator: Authenticator = request.app.state.authenticator
         found = await authenticator.authenticate(request, key.credentials if key else None)
-        if not found.has_scope(scope):
+        if not found.has_scope(self.scope):
             raise ProblemError(
                 403,
-                f"The key {found.name!r} lacks the scope {scope}.",
+                f"The key {found.name!r} lacks the scope {self.scope}.",
                 "Use another key, or ask whoever runs the service for one.",
             )
         return found
 
-    return caller
+
+Reader = Annotated[Caller, Depends(RequireScope("read"))]
+Submitter = Annotated[Caller, Depends(RequireScope("submit"))]
+Admin = Annotated[Caller, Depends(RequireScope("admin"))]
 
 
-Reader = Annotated[Caller, Depends(require("read"))]
-Submitter = Annotated[Caller, Depends(require("submit"))]
-Admin = Annotated[Caller, Depends(require("admin"))]
+class AuthenticatedRoute(APIRoute):
+    """A route that knows its caller before it reads a body.
+
+    FastAPI reads and parses the body first, and then asks what a route depends on.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """The handler of a request."""
+        handle = super().get_route_handler()
+        requirements = list(_requirements(self.dependant))
+
+        async def handle_authenticated(request: Request) -> Response:
+            for requirement in requirements:
+                await requirement(request, await BEARER(request))
+            return await handle(request)
+
+        return handle_authenticated
+
+
+def _requirements(dependant: Dependant) -> Iterator[RequireScope]:
+    for inner in dependant.dependencies:
+        if isinstance(inner.call, RequireScope):
+            yield inner.call
+        yield from _requirements(inner)
 
 
 def _check_local(request: Request) -> None:

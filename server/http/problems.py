@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
-from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -136,7 +135,7 @@ def install(app: FastAPI) -> None:
     """Answer every error of an application in the one shape."""
 
     async def problem(request: Request, error: Exception) -> Response:
-        found = as_problem(error, request.scope)
+        found = as_problem(error)
         if found.status_code == 405:
             found.headers["Allow"] = ", ".join(_allowed_methods(app, request.url.path))
         return found.response()
@@ -155,13 +154,8 @@ def install(app: FastAPI) -> None:
     app.add_middleware(ProblemMiddleware)
 
 
-def as_problem(error: Exception, scope: Scope | None = None) -> ProblemError:
-    """The answer to an exception.
-
-    Args:
-        error: The exception.
-        scope: The request, which knows its limits.
-    """
+def as_problem(error: Exception) -> ProblemError:
+    """The answer to an exception."""
     if isinstance(error, ProblemError):
         return error
     if isinstance(error, MorphError):
@@ -174,7 +168,7 @@ def as_problem(error: Exception, scope: Scope | None = None) -> ProblemError:
             return not_json(cause)
         if isinstance(cause, ClientDisconnect):
             return as_problem(cause)
-        return _http_problem(error.status_code, str(error.detail), error.headers, scope or {})
+        return _http_problem(error.status_code, str(error.detail), error.headers)
     if isinstance(error, ClientDisconnect):
         return ProblemError(400, "The body was cut off.", "Send it again.")
     if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
@@ -215,11 +209,7 @@ def _allowed_methods(app: FastAPI, path: str) -> list[str]:
     )
 
 
-def _http_problem(
-    status: int, detail: str, headers: Mapping[str, str] | None, scope: Scope
-) -> ProblemError:
-    if status == 413 and MAX_BODY_SIZE_SCOPE_KEY in scope:
-        return too_large(scope[MAX_BODY_SIZE_SCOPE_KEY])
+def _http_problem(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
     remedies = {
         404: "See /docs for the addresses there are.",
         405: "See /docs for the methods of this address.",
@@ -258,7 +248,7 @@ class ProblemMiddleware:
                         if name in ("allow", "content-range", "retry-after", "www-authenticate")
                     }
                     _, title = PROBLEM_TYPES.get(message["status"], PROBLEM_TYPES[400])
-                    found = _http_problem(message["status"], title, kept_headers, scope)
+                    found = _http_problem(message["status"], title, kept_headers)
                     await found.response()(scope, receive, send)
                     return
             if not replaced:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import anyio
 from pydantic import BaseModel, ValidationError
-from starlette.middleware.body_limit import RequestBodyLimitMiddleware
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -22,52 +22,47 @@ from chamfer_morph.server.http.problems import (
 Model = TypeVar("Model", bound=BaseModel)
 
 
-class BodySizeMiddleware:
-    """Starlette's limit on the size of a body, another one for each address.
+class BodyLimitMiddleware:
+    """Refuses a body that is too large, or of which nothing comes for a while.
 
-    FastAPI takes the limit with a router, but no release for Python 3.10 does.
-
-    Args:
-        app: The application.
-        max_body_size: The limit [bytes].
-        exceptions: The limit of the addresses that have another one [bytes].
-    """
-
-    def __init__(self, app: ASGIApp, max_body_size: int, exceptions: Mapping[str, int]) -> None:
-        self.default = RequestBodyLimitMiddleware(app, max_body_size)
-        self.by_path = {
-            path: RequestBodyLimitMiddleware(app, size) for path, size in exceptions.items()
-        }
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request."""
-        limited = self.by_path.get(scope.get("path", ""), self.default)
-        await limited(scope, receive, send)
-
-
-class BodyTimeoutMiddleware:
-    """Refuses a request of whose body nothing comes for a while; FastAPI would wait for ever.
+    FastAPI would wait for ever. Starlette's limit of the size would answer 413 in place of 401 to
+    strangers.
 
     Args:
         app: The application.
         timeout_seconds: How long to wait for the next piece [s].
+        max_bytes: The limit [bytes].
+        exceptions: The limit of the addresses that have another one [bytes].
     """
 
-    def __init__(self, app: ASGIApp, timeout_seconds: float) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        timeout_seconds: float,
+        max_bytes: int,
+        exceptions: Mapping[str, int],
+    ) -> None:
         self.app = app
         self.timeout_seconds = timeout_seconds
+        self.max_bytes = max_bytes
+        self.exceptions = exceptions
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        more_body = True
+        max_bytes = self.exceptions.get(scope["path"], self.max_bytes)
+        declared = int(Headers(scope=scope).get("content-length", 0))
+        received, more_body = 0, True
 
-        async def receive_in_time() -> Message:
-            nonlocal more_body
+        async def receive_limited() -> Message:
+            nonlocal received, more_body
             if not more_body:  # what comes now is the disconnect, at any time
                 return await receive()
+            if declared > max_bytes:
+                raise too_large(max_bytes)
             try:
                 with anyio.fail_after(self.timeout_seconds):
                     message = await receive()
@@ -78,10 +73,13 @@ class BodyTimeoutMiddleware:
                     "Send it again, over a steadier connection.",
                     headers={"Connection": "close"},
                 ) from None
+            received += len(message.get("body", b""))
+            if received > max_bytes:
+                raise too_large(max_bytes)
             more_body = message.get("more_body", False)
             return message
 
-        await self.app(scope, receive_in_time, send)
+        await self.app(scope, receive_limited, send)
 
 
 def media_type(request: Request) -> str:

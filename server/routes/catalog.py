@@ -8,13 +8,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 
 from chamfer_morph.schemas import Resource
-from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.http.problems import not_found
 from morph_engine import methods, presets
 from morph_engine.config import MorphConfig
 from morph_engine.geometry import shapes
 
-router = APIRouter(tags=["catalog"])
+router = APIRouter(tags=["catalog"], route_class=AuthenticatedRoute)
 
 TEXT_SHAPE = Resource(name="text:WORD", description="Extruded letters of any text.", config=None)
 

@@ -9,11 +9,12 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
 from chamfer_morph.schemas import Event, EventPage
+from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["events"])
+router = APIRouter(prefix="/jobs/{job_id}", tags=["events"], route_class=AuthenticatedRoute)
 
 SSE = "text/event-stream"
 LARGEST_ID = 2**53

@@ -12,7 +12,7 @@ from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import Export, ExportFormat, ExportRequest, Problem
 from chamfer_morph.schemas.ids import derived_id, is_id
-from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, file_response
 from chamfer_morph.server.http.problems import ProblemError, as_problem
@@ -27,7 +27,7 @@ from chamfer_morph.worker.sandbox.computations import make_export
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions, StoredExport
 from morph_engine.errors import MorphError
 
-router = APIRouter(tags=["exports"])
+router = APIRouter(tags=["exports"], route_class=AuthenticatedRoute)
 
 RETRY_AFTER = "1"
 

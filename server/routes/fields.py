@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 
 from chamfer_morph.schemas import ParticleField
-from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import BYTES
 from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
@@ -25,7 +25,7 @@ from chamfer_morph.server.routes.job_lookup import (
 from chamfer_morph.worker.frame_reader import Frame, read_det_f
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(tags=["fields"])
+router = APIRouter(tags=["fields"], route_class=AuthenticatedRoute)
 
 LEVELS = 255
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import FrameFormat
+from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
@@ -16,7 +17,7 @@ from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
 from chamfer_morph.worker.frame_reader import Role, mesh_in_grid_units
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
 
 GLB = "model/gltf-binary"
 

@@ -13,7 +13,7 @@ from starlette.datastructures import UploadFile
 
 from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
 from chamfer_morph.schemas.ids import new_id
-from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
@@ -26,7 +26,7 @@ from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs", tags=["jobs"])
+router = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
 
 RETRY_AFTER = "1"
 

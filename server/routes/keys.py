@@ -8,11 +8,11 @@ from fastapi import APIRouter, Body, Request, Response
 from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import Key, KeyRequest, NewKey
-from chamfer_morph.server.auth import Admin, Authenticator
+from chamfer_morph.server.auth import Admin, AuthenticatedRoute, Authenticator
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import ProblemError, not_found
 
-router = APIRouter(prefix="/keys", tags=["keys"])
+router = APIRouter(prefix="/keys", tags=["keys"], route_class=AuthenticatedRoute)
 
 EXAMPLES: dict[str, Example] = {
     "admin": {

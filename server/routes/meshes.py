@@ -13,7 +13,7 @@ from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import JobState, Mesh, MeshPage, MeshShape
-from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.meshes import MeshRow
@@ -33,7 +33,7 @@ from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.sandbox.computations import inspect_mesh
 from morph_engine.geometry.mesh import FORMATS
 
-router = APIRouter(prefix="/meshes", tags=["meshes"])
+router = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
 
 PAGE = 1000
 

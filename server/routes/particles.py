@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from chamfer_morph.schemas import Fit, FrameFormat
-from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.problems import not_found
@@ -20,7 +20,7 @@ from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.sandbox.computations import SampledShape, sample_shape
 from morph_engine.sections import GridConfig
 
-router = APIRouter()
+router = APIRouter(route_class=AuthenticatedRoute)
 
 EXTENT = GridConfig().half_extent
 """Half edge of the usual domain [grid units]."""

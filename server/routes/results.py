@@ -14,6 +14,7 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import FrameFormat
+from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, file_response
@@ -22,7 +23,7 @@ from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.files import file_sha256
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
 
 HDF5 = "application/vnd.hdfgroup.hdf5"
 

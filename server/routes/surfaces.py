@@ -10,6 +10,7 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import SurfaceFormat, Units
+from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import PLY
 from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
@@ -24,7 +25,7 @@ from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.sandbox.computations import reconstruct_surface
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
 
 MEDIA_TYPES: dict[SurfaceFormat, str] = {
     "glb": "model/gltf-binary", "ply": PLY, "obj": "model/obj", "stl": "model/stl",

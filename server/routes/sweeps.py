@@ -12,7 +12,7 @@ from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.ids import is_id, new_id
-from chamfer_morph.server.auth import Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.sweeps import SweepRow as StoredSweep
@@ -30,7 +30,7 @@ from chamfer_morph.worker.progress import read_progress
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.config import overrides_of
 
-router = APIRouter(prefix="/sweeps", tags=["sweeps"])
+router = APIRouter(prefix="/sweeps", tags=["sweeps"], route_class=AuthenticatedRoute)
 
 JOBS = 1000
 """Most jobs of a sweep."""

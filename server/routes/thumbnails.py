@@ -8,6 +8,7 @@ from pathlib import Path
 import anyio
 from fastapi import APIRouter, Request, Response
 
+from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
@@ -17,7 +18,7 @@ from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
 
 WEBP = "image/webp"
 

@@ -7,13 +7,13 @@ from collections.abc import Collection, Mapping
 from fastapi import APIRouter
 
 from chamfer_morph.schemas import WorkerStatus
-from chamfer_morph.server.auth import Admin
+from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.worker import slots
 from chamfer_morph.worker.locks import try_lock
 
-router = APIRouter(prefix="/workers", tags=["workers"])
+router = APIRouter(prefix="/workers", tags=["workers"], route_class=AuthenticatedRoute)
 
 
 @router.get("", operation_id="listWorkers", summary="List worker slots")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 
+from chamfer_morph.server.app import create_app
 from chamfer_morph.server.database.tables import KEYS
 from tests.integration.api.conftest import MORPH, Api
 
@@ -18,6 +22,16 @@ def _key(api: Api, name: str, *scopes: str, by: dict[str, str] | None = None) ->
     answer = api.http.post("/v1/keys", json={"name": name, "scopes": list(scopes)}, headers=by)
     assert answer.status_code == 201, answer.text
     return {"Authorization": f"Bearer {answer.json()['secret']}"}
+
+
+def _status_of_headers(api: Api, method: str, path: str, length: int) -> int:
+    """What is answered to headers that announce JSON, of which nothing comes."""
+    url = api.http.base_url
+    with socket.create_connection((url.host, url.port), timeout=10) as connection:
+        head = f"{method} {path} HTTP/1.1\r\nHost: {url.host}\r\n"
+        head += f"Content-Type: application/json\r\nContent-Length: {length}\r\n\r\n"
+        connection.sendall(head.encode())
+        return int(connection.makefile("rb").readline().split()[1])
 
 
 def test_the_first_key_closes_the_door(either: Api) -> None:
@@ -132,3 +146,31 @@ def test_other_addresses_need_keys(tmp_path: Path) -> None:
     assert run("check").returncode == 0
     assert run("keys", "remove", "root").returncode == 0
     assert run("check").returncode == 2
+
+
+def test_strangers_are_refused_before_their_body_is_read(make_api: Callable[..., Api]) -> None:
+    """Whatever they send: 401, not a word on the body, and no wait for one that never comes."""
+    api = make_api(body_bytes=1000)
+    _key(api, "root", "admin")
+    operations = [
+        (method.upper(), re.sub(r"{\w+}", "0" * 26, path))
+        for path, item in create_app(api.settings).openapi()["paths"].items()
+        for method in item
+        if path.startswith("/v1/")
+    ]
+    assert ("POST", "/v1/keys") in operations
+    json_type = {"Content-Type": "application/json"}
+    for method, path in operations:
+        for body in (b"{", b"[" * 2000):
+            answer = api.http.request(method, path, content=body, headers=json_type)
+            assert answer.status_code == 401, (method, path, answer.text)
+        for length in (9, 2_000_000_000):
+            assert _status_of_headers(api, method, path, length) == 401, (method, path)
+
+
+def test_a_scope_is_missed_before_the_body_is_read(api: Api) -> None:
+    """A key that may not submit learns that, not what is wrong with its JSON."""
+    reader = _key(api, "r", "read", by=_key(api, "root", "admin"))
+    broken = {"content": b"{", "headers": reader | {"Content-Type": "application/json"}}
+    for path in ("/v1/jobs", "/v1/sweeps", "/v1/keys", f"/v1/jobs/{'0' * 26}/exports"):
+        assert api.http.post(path, **broken).status_code == 403, path
