@@ -64,11 +64,7 @@ class Backend:
         return np.float64 if self.precision == "float64" else np.float32
 
     def chunks(self, item_count: int) -> tuple[int, int]:
-        """Split `item_count` items for a scattering kernel.
-
-        Returns:
-            Chunk count and items per chunk.
-        """
+        """Chunk count and items per chunk of a scattering kernel over `item_count` items."""
         if not self.on_cpu:
             return item_count, 1
         return CPU_CHUNK_COUNT, -(-item_count // CPU_CHUNK_COUNT)

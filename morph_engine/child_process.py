@@ -22,10 +22,6 @@ def python_command(module: str, *arguments: str) -> list[str]:
 
     Unlike ``python -m`` it never imports from the working directory, where a user may have a
     `queue.py` or a folder called `server`. PYTHONPATH counts as ever.
-
-    Args:
-        module: The module, by its full name.
-        arguments: Its arguments.
     """
     if sys.version_info >= (3, 11):
         return [sys.executable, "-P", "-m", module, *arguments]
@@ -34,11 +30,7 @@ def python_command(module: str, *arguments: str) -> list[str]:
 
 
 def exit_with_parent(status: int) -> None:
-    """End this process at once when its standard input ends, as it does when its parent dies.
-
-    Args:
-        status: The exit status.
-    """
+    """End this process at once when its standard input ends, as it does when its parent dies."""
 
     def wait() -> None:
         while os.read(0, 1):
@@ -59,9 +51,5 @@ def lower_priority() -> None:
 
 
 def describe_exit(status: int) -> str:
-    """How a process ended: the name of the signal, or its exit status.
-
-    Args:
-        status: As `subprocess.Popen.returncode`.
-    """
+    """How a process ended, by its `returncode`: the name of the signal, or its exit status."""
     return signal.Signals(-status).name if status < 0 else f"exit status {status}"

@@ -31,15 +31,7 @@ def estimate(
 ) -> Estimate:
     """Estimate the cost of a run on the CPU by a model linear in particles and frames.
 
-    Args:
-        particle_count: Particles of the source.
-        target_count: Points of the target.
-        frames: Frames to compute.
-        method: Name of the method.
-        threads: CPU threads to use; all of this machine by default.
-
-    Returns:
-        Expected wall-clock seconds and peak memory.
+    It has all threads of this machine if `threads` does not say otherwise.
     """
     workers = threads or os.cpu_count() or 1
     rates = options_of(method).cost

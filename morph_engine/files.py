@@ -25,12 +25,6 @@ def replacing(path: Path) -> Iterator[Path]:
     The body writes to the temporary name it is given, in the same directory. Leaving the body
     flushes that file to the disk and renames it over `path`; an exception removes it.
 
-    Args:
-        path: The file to write or to replace.
-
-    Yields:
-        The temporary name.
-
     Raises:
         OSError: The file cannot be written, for want of space or of the right to.
     """
@@ -48,9 +42,6 @@ def replacing(path: Path) -> Iterator[Path]:
 def sync_directory(path: Path) -> None:
     """Make the names in a directory durable, so that a rename outlives a power cut.
 
-    Args:
-        path: The directory.
-
     Raises:
         OSError: The directory cannot be opened.
     """
@@ -64,13 +55,9 @@ def sync_directory(path: Path) -> None:
 
 
 def acquire(path: Path) -> BinaryIO | None:
-    """Lock a file for this process; the system frees it when the process ends, however it ends.
+    """Lock a file, created where missing, until it is closed; None where another process holds it.
 
-    Args:
-        path: The lock file, created where missing.
-
-    Returns:
-        The open file, which holds the lock until it is closed; None where another holds it.
+    The system frees the lock when this process ends, however it ends.
 
     Raises:
         OSError: The lock file cannot be opened.
@@ -95,14 +82,7 @@ def acquire(path: Path) -> BinaryIO | None:
 
 
 def wait_for(path: Path, seconds: float = float("inf")) -> BinaryIO:
-    """Lock a file as soon as its holder lets go of it.
-
-    Args:
-        path: The lock file, created where missing.
-        seconds: How long to wait [s].
-
-    Returns:
-        The open file, which holds the lock until it is closed.
+    """Lock a file as soon as its holder lets go of it, see `acquire`; wait at most so long [s].
 
     Raises:
         TimeoutError: Its holder does not let go.

@@ -120,12 +120,6 @@ def ambiguous_winding(mesh: Mesh) -> float:
     Measured on a lattice of about 20 000 points over the bounding box: the points with
     |w - round(w)| > 1/4, divided by those with |w| > 1/4. It is 0 for closed surfaces, however
     they overlap, and grows with the size of the openings.
-
-    Args:
-        mesh: Triangle mesh of any size.
-
-    Returns:
-        Share between 0 and 1.
     """
     lower, upper = mesh.bounds
     extent = upper - lower

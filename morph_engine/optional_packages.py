@@ -9,15 +9,7 @@ from morph_engine.errors import ExtraError
 
 
 def load(module: str, *, extra: str, purpose: str) -> Any:
-    """Import a module that an extra of this package installs.
-
-    Args:
-        module: Its dotted name.
-        extra: The extra.
-        purpose: What needs it, as the subject of a sentence.
-
-    Returns:
-        The module.
+    """Import a module that an extra of this package installs; `purpose` is what needs it.
 
     Raises:
         ExtraError: It is not installed.

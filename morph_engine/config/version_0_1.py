@@ -63,10 +63,7 @@ def converted(
 ) -> dict[str, Any]:
     """The same configuration in today's form, without the settings that its method ignored.
 
-    Args:
-        config: As version 0.1.0 stored it.
-        shared: Settings that all methods share, by path.
-        options: Settings that its method has, by path.
+    `shared` and `options` have by path what all methods share and what its method has.
     """
     method = config["method"]
     tree: dict[str, Any] = {"method": {"name": method}}

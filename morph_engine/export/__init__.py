@@ -36,14 +36,7 @@ def find(name: str) -> Format:
 
 
 def suffix(format: str, frames: Sequence[int] | None) -> str:
-    """The ending of an export's file name.
-
-    Args:
-        format: Name of the format.
-        frames: The frames asked for; None for all.
-
-    Returns:
-        The format's own suffix, or ``.zip`` where several frames take a file each.
+    """The ending of a file's name: that of the format, or ``.zip`` for several frames (None: all).
 
     Raises:
         ConfigError: There is no such format.

@@ -69,9 +69,6 @@ def make_mesh(
         name: Name for messages.
         sha256: Digest of its origin; of the arrays by default.
 
-    Returns:
-        The mesh, with positive volume.
-
     Raises:
         MeshError: There are no faces, an index is out of range, a coordinate is not finite or
             beyond 1e9, the mesh has no volume, or its faces criss-cross the bounding box.
@@ -118,13 +115,9 @@ def make_mesh(
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read a mesh; its coordinates stay as they are in the file (algorithm 1.1).
+    """Read a mesh and turn it right side out; its coordinates stay as in the file (algorithm 1.1).
 
-    Args:
-        path: OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh.
-
-    Returns:
-        The mesh, turned right side out.
+    It is an OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh.
 
     Raises:
         MeshError: The file is missing, empty, too large or unreadable, or its mesh is unusable.

@@ -265,13 +265,10 @@ class NeighborIndex:
         self.rebuild(points)
 
     def rebuild(self, points: Any) -> None:
-        """Sort the points into leaves anew, on the host.
+        """Sort the points [dx], device array, shape [n, 3] as before, into leaves on the host.
 
         Worth its cost, about that of four searches, when points have moved relative to their
         neighbours by several spacings: after four, searches take nearly twice as long.
-
-        Args:
-            points: Positions [dx], device array, shape [n, 3] as at the start.
 
         Raises:
             ValueError: The number of points differs.
@@ -284,10 +281,7 @@ class NeighborIndex:
         self.update(points)
 
     def update(self, points: Any) -> None:
-        """Follow points that moved: fit all boxes to the new positions.
-
-        Args:
-            points: Positions [dx], device array, shape [n, 3] as at the start.
+        """Fit all boxes to points that moved [dx], device array, shape [n, 3] as at the start.
 
         Raises:
             ValueError: The number of points differs.

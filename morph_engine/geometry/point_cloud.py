@@ -16,9 +16,6 @@ Points = npt.NDArray[np.float64]
 def finite_points(positions: npt.ArrayLike) -> tuple[Points, npt.NDArray[np.bool_]]:
     """Split off particles that have no usable position.
 
-    Args:
-        positions: Particle positions [dx], shape [n, 3], any float type.
-
     Returns:
         The finite positions [dx], shape [k, 3], float64, and the mask [n] that selects them.
 
@@ -36,13 +33,7 @@ def finite_points(positions: npt.ArrayLike) -> tuple[Points, npt.NDArray[np.bool
 
 
 def target_points(target: npt.ArrayLike) -> Points:
-    """Check a target cloud, which unlike a running simulation has no excuse.
-
-    Args:
-        target: Target points [dx], shape [m, 3], any float type.
-
-    Returns:
-        The points [dx], shape [m, 3], float64.
+    """The points of a target [dx], shape [m, 3], float64; unlike a running simulation, all finite.
 
     Raises:
         MeshError: The shape is not [m, 3], there is no point, or one is not finite.

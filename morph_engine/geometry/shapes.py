@@ -34,13 +34,7 @@ def names() -> tuple[str, ...]:
 
 
 def make(name: str) -> Mesh:
-    """Make a built-in shape.
-
-    Args:
-        name: One of `names()`, or `text:` and the text.
-
-    Returns:
-        The shape in grid units.
+    """Make a built-in shape [grid units]: one of `names()`, or `text:` and the text.
 
     Raises:
         MeshError: There is no such shape, or a text that cannot be drawn.
@@ -58,11 +52,7 @@ def make(name: str) -> Mesh:
 def resolve_shape(spec: str) -> Mesh:
     """Turn what a user typed into a mesh: a built-in name, `text:...` or the path of a file.
 
-    Args:
-        spec: Name or path.
-
-    Returns:
-        The built-in shape in grid units, or the mesh in the coordinates of its file.
+    Built-in shapes are in grid units, others in the coordinates of their files.
 
     Raises:
         MeshError: It is neither, or the mesh is unusable.

@@ -148,14 +148,10 @@ def reconstruct_surface(
 
 
 def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
-    """How far a surface lies from that of the target, and the other way round.
+    """How far a surface lies from that of the target [dx], and the other way round.
 
     Distances are from 20 000 points, spread evenly by area with a fixed seed, to the nearest point
     of any triangle of the other mesh. Where the target is open, its missing faces count as far.
-
-    Args:
-        surface: The surface of a frame [dx].
-        target_mesh: The target in grid units.
 
     Returns:
         ``mean``, ``rms`` and ``max`` from the surface to the target, and ``mean_back``,

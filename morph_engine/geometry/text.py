@@ -27,10 +27,7 @@ LINE_HEIGHT = 1.15 * FONT_SIZE
 
 
 def extruded_letters(text: str) -> list[Mesh]:
-    """Extrude a text, broken into the lines that make it largest.
-
-    Args:
-        text: The text, at least one word.
+    """Extrude a text of one word or more, broken into the lines that make it largest.
 
     Returns:
         The parts of its letters, of a typeface in bold [grid units].

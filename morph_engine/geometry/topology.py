@@ -34,10 +34,6 @@ class Opening:
 class Topology:
     """Connectivity of a triangle mesh after welding equal positions.
 
-    Args:
-        vertices: Corner positions, shape [v, 3], float64.
-        faces: Vertex indices, shape [f, 3], int32.
-
     Attributes:
         watertight: Every edge joins exactly two faces, and their orientations agree.
         component_count: Number of parts that share no vertex.

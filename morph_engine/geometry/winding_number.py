@@ -75,16 +75,10 @@ def _without_long_edges(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int64]]:
 
 
 def inside(mesh: Mesh, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Tell which points have a winding number of at least 1/2 (algorithm 1.2, step 5).
+    """Mask of the points with a winding number of at least 1/2 (algorithm 1.2, step 5).
 
-    The few points that the fast winding number leaves in doubt are evaluated exactly.
-
-    Args:
-        mesh: Triangle mesh.
-        points: Query points in the mesh's coordinates, shape [n, 3].
-
-    Returns:
-        Mask, shape [n], bool.
+    The few points that the fast winding number leaves in doubt are evaluated exactly. Points are
+    in the mesh's coordinates, shape [n, 3].
     """
     queries = np.ascontiguousarray(points, np.float64)
     winding = winding_number(mesh, queries)

@@ -17,17 +17,7 @@ SMALLEST_GRADIENT = 1e-10  # a particle with a larger reverse gradient counts as
 
 
 class ChamferLoss:
-    """L = mean_p l(d_fwd) + w_rev mean_j l(d_rev), l squared or Huber (algorithm 5.1).
-
-    Args:
-        matches: Nearest neighbours, shared with the metrics.
-        config: Distances, clamping and smoothing.
-        grid: Background grid.
-
-    Attributes:
-        matches: As given.
-        config: As given.
-    """
+    """L = mean_p l(d_fwd) + w_rev mean_j l(d_rev), l squared or Huber (algorithm 5.1)."""
 
     def __init__(self, matches: Matches, config: ChamferConfig, grid: Grid) -> None:
         self.matches = matches

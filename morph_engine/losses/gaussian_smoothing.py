@@ -22,11 +22,9 @@ SMALLEST_WEIGHT = 1e-12
 
 
 class GaussianSmoothing:
-    """Averages vectors at moving particles.
+    """Averages vectors at moving particles, by a Gaussian of standard deviation sigma [dx].
 
-    Args:
-        grid: Background grid; its cells delimit the neighbourhood.
-        sigma: Standard deviation [dx].
+    The cells of the background grid delimit the neighbourhood.
     """
 
     def __init__(self, grid: Grid, sigma: float) -> None:
@@ -36,12 +34,7 @@ class GaussianSmoothing:
         self._sums = self._scratch = backend.active().vectors(NODES, 4)
 
     def apply(self, x: Any, values: Any) -> None:
-        """Replace values by their averages.
-
-        Args:
-            x: Particle positions [dx], shape [n, 3].
-            values: Vectors to average in place, shape [n, 3].
-        """
+        """Average values in place, shape [n, 3], at particles x [dx], shape [n, 3]."""
         device = backend.active()
         low, size = self._occupied_cells(x.to_numpy())
         count = int(np.prod(size)) * NODES

@@ -23,13 +23,7 @@ SMALLEST_MASS = 1e-12
 
 
 class GridMass:
-    """Mass of a fixed number of points on the grid (algorithm 1.3, 3).
-
-    Args:
-        point_count: Number of points.
-        point_mass: Mass of each.
-        grid: Background grid.
-    """
+    """Mass of a fixed number of points of equal mass on the grid (algorithm 1.3, 3)."""
 
     def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
         self.point_count = point_count
@@ -50,11 +44,7 @@ class GridMass:
     def pull_back(self, x: Any, slope: Any, x_bar: Any, weight: float = 1.0) -> None:
         """Write weight * sum_i slope_i dM_i/dx_p at x [dx] to x_bar, both of shape [n, 3].
 
-        Args:
-            x: Positions [dx].
-            slope: Derivative by the node masses, shape [node_count].
-            x_bar: Where the gradient goes.
-            weight: Factor on it.
+        `slope` is the derivative by the node masses, shape [node_count].
         """
         factor = weight * self.point_mass
         _mass_to_grid_adjoint(x, slope, x_bar, self.point_count, factor, self.grid)

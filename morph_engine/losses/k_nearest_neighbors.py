@@ -14,11 +14,7 @@ from morph_engine import backend
 def k_nearest_neighbors(
     points: NDArray[Any], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The nearest other points of the same set.
-
-    Args:
-        points: Positions [dx], shape [n, 3].
-        count: How many; n - 1 where there are fewer.
+    """The nearest other points of the same set [dx], shape [n, 3]; n - 1 where there are fewer.
 
     Returns:
         Indices and distances [dx], nearest first, shape [n, count] each.

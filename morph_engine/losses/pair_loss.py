@@ -14,10 +14,8 @@ class PairLoss(ABC):
     """A loss whose gradient is a pull along every pair.
 
     A pair of a particle x and a target point q with strength c adds c (x - q) to the gradient of
-    that particle. Assignments count as constants, so a loss l(|x - q|) has c = l'(d) / d.
-
-    Args:
-        matches: Nearest neighbours of both directions, updated by whoever moves the particles.
+    that particle. Assignments count as constants, so a loss l(|x - q|) has c = l'(d) / d. Matches
+    are updated by whoever moves the particles.
     """
 
     def __init__(self, matches: Matches) -> None:

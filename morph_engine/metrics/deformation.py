@@ -9,13 +9,7 @@ from morph_engine.geometry.point_cloud import Points
 
 
 def determinants(deformation: npt.ArrayLike) -> Points:
-    """det F of each particle.
-
-    Args:
-        deformation: Deformation gradients F [-], shape [n, 3, 3].
-
-    Returns:
-        Determinants [ratio], shape [n], float64.
+    """det F of each particle [ratio], shape [n], float64, from F [-], shape [n, 3, 3].
 
     Raises:
         ValueError: The shape is not [n, 3, 3] with n > 0.
@@ -32,10 +26,7 @@ def determinants(deformation: npt.ArrayLike) -> Points:
 
 
 def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
-    """Range and mean of det F over the particles.
-
-    Args:
-        deformation: Deformation gradients F [-], shape [n, 3, 3].
+    """Range and mean of det F over particles with deformation gradients F [-], shape [n, 3, 3].
 
     Returns:
         ``det_f_min``, ``det_f_max`` and ``det_f_mean``. A non-finite determinant counts as the

@@ -73,11 +73,9 @@ def make_grid(config: GridConfig, kernel: Kernel) -> Grid:
 
 
 def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
-    """Particles by grid cell, z fastest: neighbours in space become neighbours in memory.
+    """Order of particles at x [dx], shape [n, 3], by grid cell, z fastest.
 
-    Args:
-        x: Positions [dx], shape [n, 3].
-        grid: The grid.
+    Neighbours in space become neighbours in memory.
     """
     cell = np.floor((x - grid.origin) / grid.dx).astype(np.int64)
     key = (cell[:, 0] * grid.resolution + cell[:, 1]) * grid.resolution + cell[:, 2]

@@ -20,10 +20,7 @@ PrivateArrays = ti.types.argpack(partial=ti.types.ndarray(), touched=ti.types.nd
 class PrivateGrids:
     """Device arrays of a scattering kernel, and how it splits its particles.
 
-    Args:
-        particle_count: Number of particles.
-        grid: Background grid.
-        values: Numbers per node, 4 or 1.
+    There are 4 values per node, or 1.
     """
 
     def __init__(self, particle_count: int, grid: Grid, values: int = 4) -> None:

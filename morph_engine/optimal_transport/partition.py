@@ -41,15 +41,10 @@ class Groups:
 
 
 def split(points: Points, count: int, rng: np.random.Generator) -> Groups:
-    """Partition points into groups whose sizes differ by one or two at most.
+    """Partition points, shape [n, 3], into 1 to n groups whose sizes differ by one or two at most.
 
     Every group is cut in two by a plane of random direction until it is to be one group; where it
     is to become an odd number of groups, the plane divides it in that proportion.
-
-    Args:
-        points: Positions, shape [n, 3].
-        count: Number of groups, 1 to n.
-        rng: Where directions come from.
     """
     order = np.arange(len(points))
     starts = np.array([0, len(points)])
@@ -70,12 +65,7 @@ def split(points: Points, count: int, rng: np.random.Generator) -> Groups:
 
 
 def spread(points: Points, count: int, rng: np.random.Generator) -> Indices:
-    """Choose points evenly: of each of `count` groups the one nearest to the group's mean.
-
-    Args:
-        points: Positions, shape [n, 3].
-        count: How many, 0 to n.
-        rng: Where the directions of the cuts come from.
+    """Choose 0 to n points, shape [n, 3]: of each of `count` groups the one nearest to its mean.
 
     Returns:
         Indices of the chosen points, shape [count].

@@ -40,12 +40,7 @@ class AMSGrad:
         self._steps = 0
 
     def step(self, values: Any, gradient: Any) -> None:
-        """Move the variables in place.
-
-        Args:
-            values: Variables [dx], device array, shape [count, 3].
-            gradient: Gradient of the loss by them, device array, shape [count, 3].
-        """
+        """Move the values [dx] in place by their gradient, device arrays of shape [count, 3]."""
         self._steps += 1
         _step(
             values,

@@ -36,12 +36,7 @@ class Norm:
 
 
 class LayerOptimizer:
-    """Control of one layer and its moments, committed and on trial.
-
-    Args:
-        particle_count: Number of particles.
-        config: Update rule.
-    """
+    """Control of one layer and its moments, committed and on trial."""
 
     def __init__(self, particle_count: int, config: OptimizerConfig) -> None:
         device = backend.active()

@@ -13,14 +13,9 @@ UNKNOWN = 0.6
 
 
 def limits(values: npt.ArrayLike, *, diverging: bool = False) -> tuple[float, float]:
-    """The range that shows most of some values: their 1 and 99 % quantiles.
+    """The range that shows most of some values of any shape: their 1 and 99 % quantiles.
 
-    Args:
-        values: Any shape.
-        diverging: Make the range symmetric about 1.
-
-    Returns:
-        Low and high, 0 and 1 where no value is finite; low < high.
+    A diverging range is symmetric about 1. Low < high; 0 and 1 where no value is finite.
     """
     array = np.asarray(values, np.float64)
     finite = array[np.isfinite(array)]
@@ -36,16 +31,9 @@ def limits(values: npt.ArrayLike, *, diverging: bool = False) -> tuple[float, fl
 def colors(
     values: npt.ArrayLike, low: float, high: float, *, palette: str = SEQUENTIAL
 ) -> npt.NDArray[np.float64]:
-    """Colour values by a palette.
+    """RGB of values, shape [n, 3], float64, 0 to 1, by a colour map of Matplotlib from low to high.
 
-    Args:
-        values: Shape [n].
-        low: Value of the palette's first colour.
-        high: Value of its last.
-        palette: A colour map of Matplotlib.
-
-    Returns:
-        RGB, shape [n, 3], float64, 0 to 1; grey where a value is not finite.
+    Grey where a value is not finite.
     """
     array = np.asarray(values, np.float64)
     share = np.clip((array - low) / (high - low), 0, 1)

@@ -185,14 +185,9 @@ def picture(
 
 
 def thumbnail(positions: npt.ArrayLike, spacing: float) -> bytes:
-    """A small picture of particles on a transparent ground.
+    """A picture of particles [dx], shape [n, 3], of lattice spacing h [dx] on a transparent ground.
 
-    Args:
-        positions: Particle positions [dx], shape [n, 3].
-        spacing: Lattice spacing h [dx].
-
-    Returns:
-        A WebP file of 240 x 180 pixels, a sixth of a PNG file in size.
+    It is a WebP file of 240 x 180 pixels, a sixth of a PNG file in size.
     """
     points = np.asarray(positions, np.float64)
     camera = Camera.facing(points, look(), THUMBNAIL)

@@ -31,10 +31,6 @@ class Canvas:
     """A picture in the making: what is nearest at each pixel, its normal and its colour.
 
     Coordinates are pixels: x to the right, y upwards, z to the eye, 0 at the picture's centre.
-
-    Args:
-        width: Width [pixels].
-        height: Height [pixels].
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -137,10 +133,7 @@ class Canvas:
         self._color[pixel] = np.einsum("fk,fki->fi", share, colors[faces[owner]])
 
     def lit(self, scale: float) -> Floats:
-        """The picture under one light, darker in hollows.
-
-        Args:
-            scale: Pixels in a length over which hollows are looked for.
+        """The picture under one light, darker in hollows that are looked for over `scale` [pixels].
 
         Returns:
             RGB, shape [height, width, 3], 0 to 1, float32; black where nothing is.
@@ -156,9 +149,6 @@ class Canvas:
         self, fragments: Iterable[Fragments]
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Put fragments on the pixels where nothing nearer is; of several the last stays.
-
-        Args:
-            fragments: Pixels, heights and the indices of what they belong to.
 
         Returns:
             The pixels that show something of it, and the indices of what.

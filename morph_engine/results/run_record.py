@@ -24,11 +24,7 @@ _SOFTWARE = ("chamfer-morph", "taichi", "numpy", "scipy", "libigl", "trimesh", "
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of what the numbers of a run depend on.
-
-    Returns:
-        Distribution name, "python" or "machine" to version; "absent" where not installed.
-    """
+    """Versions of "python", "machine" and the distributions that the numbers of a run depend on."""
     versions = {"python": platform.python_version(), "machine": platform.machine()}
     for name in _SOFTWARE:
         try:
@@ -106,15 +102,9 @@ class RunRecord:
 
     @classmethod
     def restore(cls, document: Json, arrays: Mapping[str, NDArray[Any]]) -> RunRecord:
-        """The record of which `document()` and `arrays()` were stored.
+        """The record whose `document()` and `arrays()` this version or an older one stored.
 
-        Args:
-            document: As `document()` of this version or an older one returned it; unknown keys are
-                ignored.
-            arrays: As `arrays()` returned them.
-
-        Returns:
-            An equal record.
+        Unknown keys of the document are ignored.
 
         Raises:
             KeyError: A part is missing.

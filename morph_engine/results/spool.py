@@ -128,10 +128,7 @@ class Spool(SpoolReader):
     def create(cls, result_path: str | Path, run: RunRecord, *, replace: bool = False) -> Spool:
         """Start a run directory beside the result file to come, locked for this process.
 
-        Args:
-            result_path: The result file.
-            run: What the run is made of.
-            replace: Discard an unfinished run found there.
+        With `replace`, an unfinished run found there is discarded.
 
         Raises:
             ResultError: Another process writes it, an unfinished run stands there, or the disk
