@@ -123,13 +123,14 @@ def ambiguous_winding(mesh: Mesh) -> float:
     """
     lower, upper = mesh.bounds
     extent = upper - lower
-    spacing = max(np.cbrt(extent.prod() / PROBE_COUNT), extent.max() / PROBES_PER_AXIS)
+    even = float(np.cbrt(extent.prod() / PROBE_COUNT))
+    spacing = max(even, float(extent.max()) / PROBES_PER_AXIS)
     shape = np.maximum(np.ceil(extent / spacing), 1).astype(int)
     fractions = (np.indices(shape).reshape(3, -1).T + 0.5) / shape
     winding = winding_number(mesh, lower + extent * fractions)
     ambiguous = np.abs(winding - np.rint(winding)) > AMBIGUOUS_DISTANCE
     felt = np.abs(winding) > AMBIGUOUS_DISTANCE
-    return float(ambiguous.sum() / max(felt.sum(), 1))
+    return int(ambiguous.sum()) / max(int(felt.sum()), 1)
 
 
 def _problem(mesh: Mesh, ambiguous: float, half_extent: float) -> MeshError | None:

@@ -105,7 +105,7 @@ def _published_lattice(
     shape = np.ceil((upper - lower) / step).astype(int) + 1
     twister = np.random.RandomState(seed)
     for index in _lattice_indices(shape):
-        draws = twister.randint(0, 1 << 32, index.shape, np.uint32).astype(np.float32)
+        draws = twister.randint(0, 1 << 32, index.shape, dtype="uint32").astype(np.float32)
         unit = draws * np.float32(2.0**-32)
         yield lower + step * index + (2 * reach * unit - reach)[:, ::-1]
 

@@ -365,8 +365,7 @@ def _painted(
     cover = canvas.covered[..., None].astype(np.float32)
     image = np.concatenate([canvas.lit(scale) * cover, cover], axis=2)
     tiles = image.reshape(size[1], OVERSAMPLING, size[0], OVERSAMPLING, 4)
-    painted: npt.NDArray[np.float32] = tiles.mean(axis=(1, 3))
-    return painted
+    return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
 
 
 def _normals(vertices: Floats, faces: npt.NDArray[np.int32]) -> Floats:
