@@ -36,13 +36,7 @@ CPU_CHUNK_COUNT = 8
 
 @dataclass(frozen=True)
 class Backend:
-    """What Taichi was started with.
-
-    Attributes:
-        device: The device in use, never "auto".
-        threads: CPU threads; 0 lets Taichi take every core.
-        precision: Type of every real number on the device.
-    """
+    """What Taichi was started with: device (never "auto"), CPU threads (0: all) and precision."""
 
     device: str
     threads: int

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -62,14 +62,9 @@ class Measurement:
 
     def document(self) -> dict[str, Any]:
         """All of it as one flat JSON object; a distance may be infinite."""
-        return {
-            "reference": self.reference,
-            "particle_count": self.particle_count,
-            "target_count": self.target_count,
-            "spacing": self.spacing,
-            "tau": self.tau,
-            **self.values,
-        }
+        document = asdict(self)
+        values = document.pop("values")
+        return {**document, **values}
 
 
 def measure(
@@ -81,7 +76,6 @@ def measure(
     mesh: Mesh | None = None,
     deformation: npt.ArrayLike | None = None,
     tau: float = 0.2,
-    grid_spacing: float = 1.0,
     domain_half_extent: float = SAFE_HALF_EXTENT,
     workers: int = 1,
 ) -> Measurement:
@@ -95,7 +89,6 @@ def measure(
         mesh: Target mesh in grid units, for the particles outside it.
         deformation: Deformation gradients F [-], shape [n, 3, 3], for the range of det F.
         tau: Threshold of precision, recall and F1 [dx], strict.
-        grid_spacing: Cell edge dx of the simulation grid, 1 in its own units.
         domain_half_extent: A particle beyond this in any coordinate has escaped [dx].
         workers: Threads for the searches; -1 takes every core.
 
@@ -117,9 +110,7 @@ def measure(
     if deformation is not None:
         values |= deformation_metrics(deformation)
     if reference == "volume":
-        values |= fill_metrics(
-            positions, target, spacing=spacing, grid_spacing=grid_spacing, workers=workers
-        )
+        values |= fill_metrics(positions, target, spacing=spacing, workers=workers)
     if mesh is not None:
         values |= outside_metrics(positions, mesh)
     return Measurement(
@@ -204,16 +195,7 @@ def compare(
 
 
 def sample_surface(mesh: Mesh, *, count: int, seed: int) -> Points:
-    """Draw points from a mesh's surface, uniformly by area.
-
-    Args:
-        mesh: Triangle mesh.
-        count: Number of points m.
-        seed: Seed of the random draws.
-
-    Returns:
-        Points in the mesh's coordinates, shape [m, 3], float64.
-    """
+    """Draw points from a mesh's surface, uniformly by area, shape [count, 3], float64."""
     rng = np.random.default_rng(seed)
     area = triangle_areas(mesh.vertices, mesh.faces)
     drawn = mesh.faces[rng.choice(len(area), count, p=area / area.sum())]

@@ -25,6 +25,9 @@ AMBIGUOUS_LIMIT = 0.05
 AMBIGUOUS_DISTANCE = 0.25
 """Distance of a winding number from the nearest integer that makes its point ambiguous."""
 
+FRAMES = 40
+"""Frames of the run whose cost is estimated."""
+
 PROBE_COUNT = 20_000
 PROBES_PER_AXIS = 64
 
@@ -57,20 +60,11 @@ class IngestReport(BaseModel, frozen=True):
     warnings: tuple[str, ...]
 
 
-def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 40) -> IngestReport:
-    """Describe a mesh. Whether it can be used is for `check_mesh` to say.
-
-    Args:
-        mesh: Mesh in grid units.
-        half_extent: Half edge of the usable cube [grid units].
-        frames: Frames of the run whose cost is estimated.
-
-    Returns:
-        The report.
-    """
+def inspect_mesh(mesh: Mesh) -> IngestReport:
+    """Describe a mesh in grid units. Whether it can be used is for `check_mesh` to say."""
     topology = Topology(mesh.vertices, mesh.faces)
     ambiguous = ambiguous_winding(mesh)
-    usable = _problem(mesh, ambiguous, half_extent) is None
+    usable = _problem(mesh, ambiguous, HALF_EXTENT) is None
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
@@ -91,8 +85,8 @@ def inspect_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT, frames: int = 
         ambiguous_winding=ambiguous,
         volume=mesh.volume,
         bounds=(tuple(lower), tuple(upper)),
-        fits_domain=_fits(mesh, half_extent),
-        resolutions=tuple(_resolution(mesh, n, frames) for n in POINTS_PER_CELL_EDGE if usable),
+        fits_domain=_fits(mesh, HALF_EXTENT),
+        resolutions=tuple(_resolution(mesh, n) for n in POINTS_PER_CELL_EDGE if usable),
         warnings=warnings,
     )
 
@@ -162,13 +156,13 @@ def _fits(mesh: Mesh, half_extent: float) -> bool:
     return bool(np.abs(mesh.bounds).max() <= half_extent)
 
 
-def _resolution(mesh: Mesh, points_per_cell_edge: int, frames: int) -> Resolution:
+def _resolution(mesh: Mesh, points_per_cell_edge: int) -> Resolution:
     count = len(sample_lattice(mesh, spacing=1 / points_per_cell_edge, minimum_count=0))
     target_count = round(REFERENCE_VOLUME * points_per_cell_edge**3)
     return Resolution(
         points_per_cell_edge=points_per_cell_edge,
         particle_count=count,
-        estimate=estimate(count, target_count, frames),
+        estimate=estimate(count, target_count, FRAMES),
     )
 
 

@@ -294,10 +294,8 @@ def _measure_fill(outcome: FrameOutcome, record: RunRecord, threads: int) -> dic
         workers=_workers(threads),
     )
     if isinstance(record.target, Mesh):
-        to_user = record.transform
-        user = outcome.positions @ to_user[:3, :3].T + to_user[:3, 3]
-        scale = float(np.cbrt(np.linalg.det(to_user[:3, :3])))
-        outside = outside_metrics(user, record.target)
+        scale = float(np.cbrt(np.linalg.det(record.transform[:3, :3])))
+        outside = outside_metrics(record.to_user(outcome.positions), record.target)
         metrics |= {
             name: value if name.endswith("share") else value / scale
             for name, value in outside.items()

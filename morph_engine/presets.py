@@ -13,12 +13,9 @@ DEFAULT = "fast"
 
 
 class Preset(NamedTuple):
-    """What a preset says; values of a method's options are with the method.
+    """A version, which changes with any number, a sentence, and the method if none is asked for.
 
-    Attributes:
-        version: Changes with any number.
-        summary: One sentence.
-        method: The method, unless another one is asked for.
+    Values of a method's options are with the method.
     """
 
     version: int

@@ -61,7 +61,10 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
     """
     tree = config.model_dump()
     for path, value in values.items():
-        *sections, leaf = _resolved(path, config.method.name).split(".")
+        location = _location(path, config.method.name)
+        if location is None:
+            raise _unknown(path, config.method.name)
+        *sections, leaf = location.split(".")
         node = tree
         for section in sections:
             node = node[section]
@@ -123,20 +126,8 @@ def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
     return fields
 
 
-def _resolved(path: str, method: str) -> str:
-    """Where a setting stands in the tree of a configuration with this method.
-
-    Raises:
-        ConfigError: The method has no such setting.
-    """
-    location = _location(path, method)
-    if location is None:
-        raise _unknown(path, method)
-    return location
-
-
 def _location(path: str, method: str) -> str | None:
-    """The same, or None where the method has no such setting."""
+    """Where a setting stands in the tree of a configuration; None if the method lacks it."""
     shared, options = shared_fields(), option_fields(method)
     for candidate in (path, renamed(path, method) or path):
         if candidate in shared:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
-from morph_engine.geometry.topology import signed_volume
+from morph_engine.geometry.topology import signed_volume, triangle_areas
 
 trimesh: Any = lazy.load("trimesh")
 
@@ -157,9 +157,8 @@ def _distinct(
 
 def _area_ratio(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> float:
     """Area of the faces divided by that of the bounding box."""
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
     width, height, depth = np.ptp(points, axis=0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    area = triangle_areas(points, triangles).sum()
     return float(area / (2 * (width * height + height * depth + depth * width)))
 
 

@@ -145,13 +145,7 @@ class Similarity:
         return Similarity(1.0 / self.scale, (x, y, z))
 
 
-def fit_to_domain(
-    mesh: Mesh,
-    *,
-    mode: Fit = "none",
-    reference_volume: float = REFERENCE_VOLUME,
-    half_extent: float = FIT_HALF_EXTENT,
-) -> tuple[Mesh, Similarity]:
+def fit_to_domain(mesh: Mesh, *, mode: Fit = "none") -> tuple[Mesh, Similarity]:
     """Scale a mesh and centre its bounding box in the domain.
 
     `volume` gives it the reference volume, so that source and target get about the same number
@@ -161,8 +155,6 @@ def fit_to_domain(
     Args:
         mesh: Mesh in user coordinates.
         mode: `volume`, `extent` or `none`.
-        reference_volume: Volume for `volume` [grid units^3].
-        half_extent: Half edge of the cube to fit it to [grid units].
 
     Returns:
         The mesh in grid units, and the map from user coordinates to grid units.
@@ -170,9 +162,9 @@ def fit_to_domain(
     if mode == "none":
         return mesh, Similarity()
     lower, upper = mesh.bounds
-    scale = 2 * half_extent / float((upper - lower).max())
+    scale = 2 * FIT_HALF_EXTENT / float((upper - lower).max())
     if mode == "volume":
-        scale = min(scale, float(np.cbrt(reference_volume / mesh.volume)))
+        scale = min(scale, float(np.cbrt(REFERENCE_VOLUME / mesh.volume)))
     x, y, z = (-scale * (lower + upper) / 2).tolist()
     similarity = Similarity(scale, (x, y, z))
     return replace(mesh, vertices=similarity.apply(mesh.vertices)), similarity

@@ -18,13 +18,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Opening:
-    """A connected set of edges along which a surface is open.
-
-    Attributes:
-        edge_count: Number of its edges.
-        centre: Centre of its bounding box.
-        size: Edge lengths of its bounding box.
-    """
+    """A connected set of edges along which a surface is open, and their bounding box."""
 
     edge_count: int
     centre: Vector

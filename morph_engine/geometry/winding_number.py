@@ -27,9 +27,8 @@ FAST_WINDING_ERROR = 0.02
 def winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
     """Generalised winding number: 1 inside, 0 outside, fractional near holes.
 
-    Args:
-        mesh: Triangle mesh; may have holes, loose triangles and overlapping parts.
-        points: Query points in the mesh's coordinates, shape [n, 3].
+    Points are in the coordinates of the mesh, shape [n, 3]; the mesh may have holes, loose
+    triangles and overlapping parts.
 
     Returns:
         Winding numbers, shape [n], float64, by libigl's fast tree approximation

@@ -22,15 +22,8 @@ def restrict_to_cells(
 ) -> tuple[Points, Points]:
     """Replace exact matches beyond one cell width by those of the 27-cell search.
 
-    Args:
-        matches: Exact matches; changed in place where the two differ.
-        x: Particle positions [dx], device array, shape [n, 3].
-        forward: Exact distances particle -> target [dx], shape [n].
-        reverse: Exact distances target -> particle [dx], shape [m].
-        grid: Background grid.
-
-    Returns:
-        The distances [dx]; infinite where there is no match.
+    Matches are changed in place where the two differ. Distances particle -> target [dx], shape
+    [n], and target -> particle, shape [m], come in exact and go out infinite without a match.
     """
     if max(forward.max(), reverse.max()) <= grid.dx:
         return forward, reverse

@@ -15,7 +15,7 @@ class DensityAwareChamfer(PairLoss):
     """Each match counts exp(-alpha d), divided among all that chose the same point.
 
     With n_q the number of particles whose nearest target point is q, and n_x that of target points
-    whose nearest particle is x::
+    whose nearest particle is x, and alpha [1 / dx]::
 
         L = 1/2 [ mean_p (1 - c_S / n_q(p) exp(-alpha d_fwd(p)))
                 + mean_j (1 - c_T / n_x(j) exp(-alpha d_rev(j))) ]
@@ -23,10 +23,6 @@ class DensityAwareChamfer(PairLoss):
     c_S = max(1, N / M) and c_T = max(1, M / N) are the counts that an even match would have; both
     are 1 for sets of equal size. Counts are constants of the derivative, and a pair at distance 0
     has the derivative 0 (algorithm 8.5).
-
-    Args:
-        matches: Nearest neighbours of both directions.
-        alpha: Decay with distance [1 / dx].
     """
 
     def __init__(self, matches: Matches, alpha: float) -> None:

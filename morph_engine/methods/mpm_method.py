@@ -98,7 +98,7 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
             transitions=transitions,
             domain=self.problem.config.domain,
             largest_cells_per_step=self.options.watchdog.cells_per_step,
-            adjoint=mpm.AdjointFlags(**adjoint.model_dump()) if adjoint else mpm.EXACT,
+            adjoint=adjoint or mpm.EXACT,
         )
 
     def _cell_order(self) -> NDArray[np.intp]:

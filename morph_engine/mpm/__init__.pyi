@@ -4,8 +4,7 @@ from .faults import fault_names as fault_names
 from .grid import Grid as Grid
 from .grid import cell_order as cell_order
 from .grid import make_grid as make_grid
-from .simulation import EXACT as EXACT
-from .simulation import AdjointFlags as AdjointFlags
+from .scheme import EXACT as EXACT
 from .simulation import Material as Material
 from .simulation import Simulation as Simulation
 from .state import Layer as Layer

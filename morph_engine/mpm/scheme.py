@@ -2,36 +2,19 @@
 
 from dataclasses import dataclass
 
+from morph_engine.sections import AdjointConfig
 
-@dataclass(frozen=True)
-class AdjointFlags:
-    """Three departures of the published program from the exact adjoint (algorithm 4.6).
-
-    Attributes:
-        drop_smoothing: Leave (1 - s) out of the path from F to C.
-        carry_control: Add s F_bar' to the control gradient.
-        drop_drag: Leave the drag out of the derivative of the weights.
-    """
-
-    drop_smoothing: bool = False
-    carry_control: bool = False
-    drop_drag: bool = False
-
-
-EXACT = AdjointFlags()
-PUBLISHED = AdjointFlags(drop_smoothing=True, carry_control=True, drop_drag=True)
+EXACT = AdjointConfig()
+PUBLISHED = AdjointConfig(drop_smoothing=True, carry_control=True, drop_drag=True)
 
 
 @dataclass(frozen=True)
 class Scheme:
     """Compile-time constants of the kernels of a time step, beside the grid.
 
-    Attributes:
-        model: NEO_HOOKEAN or FIXED_COROTATED.
-        atomic: Whether scattering adds atomically to one grid, as on a GPU.
-        adjoint: Which adjoint to use.
+    The model is NEO_HOOKEAN or FIXED_COROTATED; atomic scattering adds to one grid, as on a GPU.
     """
 
     model: int
     atomic: bool
-    adjoint: AdjointFlags
+    adjoint: AdjointConfig

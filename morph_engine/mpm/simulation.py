@@ -8,24 +8,21 @@ from typing import Any
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
+from morph_engine.mpm.constitutive import FIXED_COROTATED
 from morph_engine.mpm.grid import Grid
 from morph_engine.mpm.grid_to_particles import grid_to_particles, grid_to_particles_adjoint
 from morph_engine.mpm.particles_to_grid import particles_to_grid, particles_to_grid_adjoint
 from morph_engine.mpm.private_grids import PrivateGrids
-from morph_engine.mpm.scheme import EXACT, PUBLISHED, AdjointFlags, Scheme
+from morph_engine.mpm.scheme import EXACT, Scheme
 from morph_engine.mpm.state import AdjointArrays, Layer, StepArrays, Transition
+from morph_engine.sections import AdjointConfig
 
 
 @dataclass(frozen=True)
 class Material:
-    """Elastic matter in particles (algorithm 0).
+    """Elastic matter in particles of one mass (algorithm 0); drag in 1/s.
 
-    Attributes:
-        model: NEO_HOOKEAN or FIXED_COROTATED.
-        lame_lambda, lame_mu: Lame parameters.
-        particle_mass: Mass of every particle.
-        drag: Drag coefficient [1/s].
+    The model is NEO_HOOKEAN or FIXED_COROTATED.
     """
 
     model: int
@@ -59,7 +56,7 @@ class Simulation:
         transitions: int,
         domain: float,
         largest_cells_per_step: float = 0.5,
-        adjoint: AdjointFlags = EXACT,
+        adjoint: AdjointConfig = EXACT,
     ) -> None:
         device = backend.active()
         n = len(rest_volume)
@@ -162,14 +159,3 @@ class Simulation:
             if pack[name] is not array:
                 pack[name] = array
         return pack
-
-
-__all__ = [
-    "EXACT",
-    "FIXED_COROTATED",
-    "NEO_HOOKEAN",
-    "PUBLISHED",
-    "AdjointFlags",
-    "Material",
-    "Simulation",
-]

@@ -46,15 +46,9 @@ def even_destinations(target: Points, count: int, spacing: float, seed: int = 0)
 
 
 def random_destinations(target: Points, count: int, seed: int = 0) -> Points:
-    """Target points drawn at random, to see what evenness is worth.
+    """Target points drawn at random [dx], shape [count, 3], float64, to see what evenness is worth.
 
-    Args:
-        target: Target points [dx], shape [m, 3], float64.
-        count: Number of particles n; beyond m all points are taken, and some again.
-        seed: Of the choice.
-
-    Returns:
-        Destinations [dx], shape [n, 3], float64.
+    Beyond the number of target points all are taken, and some again.
     """
     rng = np.random.default_rng(seed)
     rounds = -(-count // len(target))

@@ -13,20 +13,13 @@ from morph_engine import backend
 class AMSGrad:
     """Moments of vector variables, and the step they make.
 
-    With the gradient g of step t = 1, 2, ...::
+    With the gradient g of step t = 1, 2, ... and the learning rate lr [dx]::
 
         m = beta1 m + (1 - beta1) g          a = beta2 a + (1 - beta2) g^2          u = max(u, a)
         x = x - lr / (1 - beta1^t) * m / (sqrt(u) / sqrt(1 - beta2^t) + epsilon)
 
     The maximum is taken before the bias correction. Where sqrt(u) is far below epsilon this is
     plain gradient descent with momentum at the rate lr / epsilon.
-
-    Args:
-        count: Number of vectors.
-        learning_rate: lr [dx].
-        beta1: Decay of the first moment.
-        beta2: Decay of the second moment.
-        epsilon: Added to the root of the second moment [unit of the gradient].
     """
 
     def __init__(

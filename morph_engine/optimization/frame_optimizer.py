@@ -29,12 +29,7 @@ SMALLEST = 1e-12
 
 @dataclass(frozen=True)
 class Losses:
-    """Loss values of one state.
-
-    Attributes:
-        physics: L_phys.
-        chamfer: L_ch; 0 where the Chamfer term is off.
-    """
+    """L_phys and L_ch of one state; L_ch is 0 where the Chamfer term is off."""
 
     physics: float
     chamfer: float

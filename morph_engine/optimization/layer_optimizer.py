@@ -56,16 +56,9 @@ class LayerOptimizer:
             array.fill(0)
 
     def try_step(self, gradient: Any, norm: float, step: float, count: int) -> Any:
-        """A trial control.
+        """A trial control, shape [n, 3, 3], by a step along the control gradient over its norm.
 
-        Args:
-            gradient: Control gradient, shape [n, 3, 3].
-            norm: The gradient is divided by this.
-            step: Step length alpha.
-            count: 1-based number of this update, for the bias corrections.
-
-        Returns:
-            The trial control, shape [n, 3, 3].
+        `count` is the 1-based number of this update, for the bias corrections.
         """
         c = self._config
         _adam(

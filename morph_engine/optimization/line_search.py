@@ -8,7 +8,7 @@ from collections.abc import Callable
 def backtrack(
     trial: Callable[[float], float], objective: float, *, trials: int, factor: float
 ) -> bool:
-    """Try steps until one lowers the objective.
+    """Try steps until one lowers the objective; whether the one made last does.
 
     Args:
         trial: Makes a trial step of this share of the first one and returns its objective, NaN
@@ -16,8 +16,5 @@ def backtrack(
         objective: What a step has to lower.
         trials: Steps to try at most.
         factor: By what each step is smaller than the one before.
-
-    Returns:
-        Whether the last trial step lowers it; it is then the one that was made last.
     """
     return any(trial(factor**number) < objective for number in range(trials))

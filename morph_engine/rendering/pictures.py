@@ -14,6 +14,7 @@ from PIL import Image
 
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
+from morph_engine.geometry.point_cloud import finite_points
 from morph_engine.rendering import colormap
 from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import VideoKind, write_video
@@ -26,10 +27,8 @@ __all__ = ["Camera", "VideoKind", "height_colors", "look", "picture", "thumbnail
 
 Floats = npt.NDArray[np.float64]
 Size = tuple[int, int]
-Color = tuple[float, float, float]
 
-WHITE: Color = (1.0, 1.0, 1.0)
-CLAY: Color = (0.80, 0.78, 0.74)
+CLAY = (0.80, 0.78, 0.74)
 PARTICLE_RADIUS_OVER_H = 0.55
 """Just over half the spacing: an even fill looks closed."""
 
@@ -37,6 +36,7 @@ OVERSAMPLING = 2
 """Pixels are drawn so many times finer, and averaged."""
 
 MARGIN = 1.06
+KINDS: dict[str, VideoKind] = {".mp4": "mp4", ".gif": "gif"}
 THUMBNAIL_QUALITY = 85
 THUMBNAIL = (240, 180)
 HOLD_SECONDS = 1.0
@@ -66,10 +66,10 @@ class Camera:
             rotation: From the domain to the eye, shape [3, 3], see `look`.
             size: Width and height of the picture [pixels].
         """
-        array = np.asarray(points, np.float64)
-        seen = array[np.isfinite(array).all(axis=1)] @ rotation.T
+        seen, _ = finite_points(points)
         if not len(seen):
             return cls(rotation, np.zeros(3), 1.0)
+        seen = seen @ rotation.T
         lower, upper = seen.min(axis=0), seen.max(axis=0)
         half = (upper - lower)[:2] / 2 * min(size) / np.array(size)
         reach = MARGIN * max(float(half.max()), 1e-6)
@@ -81,8 +81,7 @@ class Camera:
 
         Arguments as for `facing`.
         """
-        array = np.asarray(points, np.float64)
-        array = array[np.isfinite(array).all(axis=1)]
+        array, _ = finite_points(points)
         if not len(array):
             return cls(rotation, np.zeros(3), 1.0)
         centre = (array.min(axis=0) + array.max(axis=0)) / 2
@@ -151,7 +150,6 @@ def picture(
     faces: npt.NDArray[np.int32] | None = None,
     view: Camera | None = None,
     size: Size = (960, 720),
-    background: Color = WHITE,
 ) -> npt.NDArray[np.uint8]:
     """Draw particles as small lit spheres, or a surface.
 
@@ -166,7 +164,6 @@ def picture(
         faces: Vertex indices of the surface, shape [f, 3]; None for particles.
         view: The camera; one that shows everything when not given.
         size: Width and height [pixels].
-        background: RGB, 0 to 1.
 
     Returns:
         RGB, shape [height, width, 3], uint8.
@@ -179,7 +176,7 @@ def picture(
     camera = view or Camera.facing(points, look(), size)
     image = _painted(points, spacing, colors, faces, camera, size)
     rgb, cover = image[..., :3], image[..., 3:]
-    blended = rgb + (1 - cover) * np.asarray(background, np.float32)
+    blended = rgb + (1 - cover)  # on white
     drawn: npt.NDArray[np.uint8] = np.rint(255 * blended).astype(np.uint8)
     return drawn
 
@@ -218,7 +215,7 @@ def video(
 
     Args:
         result: A result file, or one that is open.
-        path: The file to write.
+        path: The file to write, and to return.
         field: Field to colour by, see `results.fields.FIELDS`. By default particles keep the
             colour of their height in the source, and a surface is plain.
         turntable: Turn once around the shape.
@@ -230,9 +227,6 @@ def video(
         kind: ``mp4`` or ``gif``; by the path's ending when not given.
         watch: Called with the number of pictures drawn and to be drawn.
 
-    Returns:
-        The path.
-
     Raises:
         ConfigError: The kind, the size or the field is none that can be used.
         ExtraError: An MP4 is asked for, and the package that writes it is not installed.
@@ -240,7 +234,11 @@ def video(
         MeshError: The particles of a frame enclose nothing.
     """
     path = Path(path)
-    chosen = kind or _kind(path)
+    chosen = kind or KINDS.get(path.suffix.lower())
+    if chosen is None:
+        raise ConfigError(
+            f"{path.name} says no kind of video.", "Name a file that ends in .mp4 or .gif."
+        )
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
         raise ConfigError(
             f"A video cannot have {size[0]} x {size[1]} pixels.",
@@ -266,16 +264,6 @@ def video(
         with writing(path), replacing(path) as temporary:
             write_video(temporary, held, kind=chosen, fps=fps)
     return path
-
-
-def _kind(path: Path) -> VideoKind:
-    if path.suffix.lower() == ".mp4":
-        return "mp4"
-    if path.suffix.lower() == ".gif":
-        return "gif"
-    raise ConfigError(
-        f"{path.name} says no kind of video.", "Name a file that ends in .mp4 or .gif."
-    )
 
 
 def _resting(

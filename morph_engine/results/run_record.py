@@ -67,6 +67,11 @@ class RunRecord:
         """Number of particles n."""
         return len(self.source_points)
 
+    def to_user(self, positions: NDArray[Any]) -> NDArray[np.float64]:
+        """Positions [dx], shape [n, 3], in the user's coordinates, float64."""
+        placed: NDArray[np.float64] = positions @ self.transform[:3, :3].T + self.transform[:3, 3]
+        return placed
+
     def document(self) -> Json:
         """The record as JSON, with a name and a sha256 in place of each array.
 

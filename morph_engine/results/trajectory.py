@@ -204,11 +204,6 @@ class Trajectory:
         if self._points.shape != (self.frame_count * self.particle_count, 3):
             raise ValueError(f"it holds {len(self._points)} points")
 
-    @classmethod
-    def open(cls, path: str | Path) -> Trajectory:
-        """Open a result file; the same as `Trajectory(path)`."""
-        return cls(path)
-
     def positions(self, frame: int) -> NDArray[np.float32]:
         """Positions of one frame [dx], shape [n, 3], float32, in the original particle order.
 
@@ -227,8 +222,7 @@ class Trajectory:
         Raises:
             ResultError: As `positions`.
         """
-        matrix = self.transform
-        return self.positions(frame) @ matrix[:3, :3].T + matrix[:3, 3]
+        return self.run.to_user(self.positions(frame))
 
     def det_f(self, frame: int) -> NDArray[np.float32] | None:
         """det F of each particle in one frame [ratio], shape [n], float32.

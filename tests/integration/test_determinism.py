@@ -28,6 +28,6 @@ def test_positions_do_not_depend_on_threads(
              *settings, "--device", "cpu", "--out", str(out), "--json"],
             check=True, capture_output=True, timeout=300,
         )  # fmt: skip
-        with Trajectory.open(out) as trajectory:
+        with Trajectory(out) as trajectory:
             positions.append(trajectory.positions(5))
     np.testing.assert_array_equal(*positions)

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from morph_engine import backend
 from morph_engine.mpm.constitutive import FIXED_COROTATED, NEO_HOOKEAN
 from morph_engine.mpm.grid import Grid
-from morph_engine.mpm.simulation import PUBLISHED, AdjointFlags, Material, Simulation
+from morph_engine.mpm.scheme import PUBLISHED
+from morph_engine.mpm.simulation import Material, Simulation
 from morph_engine.mpm.state import Particles
+from morph_engine.sections import AdjointConfig
 
 Array = NDArray[np.float64]
 PARTICLE_COUNT = 60
@@ -28,7 +30,7 @@ def float64_device() -> Iterator[None]:
 
 
 def random_simulation(
-    model: int, width: int, adjoint: AdjointFlags | None = None
+    model: int, width: int, adjoint: AdjointConfig | None = None
 ) -> tuple[Simulation, Particles, Array]:
     """A small crowded cloud with random state and control."""
     rng = np.random.default_rng(7)
@@ -47,7 +49,7 @@ def random_simulation(
         dt=1 / 120,
         transitions=TRANSITIONS,
         domain=3.5,
-        adjoint=adjoint or AdjointFlags(),
+        adjoint=adjoint or AdjointConfig(),
     )
     simulation.smoothing = 0.9
     control = 0.02 * noise(TRANSITIONS, n, 3, 3)
@@ -119,7 +121,7 @@ def test_adjoint_matches_central_differences(model: int, width: int, layer: int)
 def test_published_adjoint_agrees_in_the_last_transition() -> None:
     """With no gradient by F and C at the end, both adjoints are equal there (algorithm 4.6)."""
     norms = []
-    for flags in (AdjointFlags(), PUBLISHED):
+    for flags in (AdjointConfig(), PUBLISHED):
         simulation, _, _ = random_simulation(FIXED_COROTATED, 4, flags)
         simulation.forward()
         weights = terminal_weights()

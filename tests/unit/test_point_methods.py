@@ -364,7 +364,7 @@ def test_an_interrupted_run_resumes_from_its_file(tmp_path: Path) -> None:
     next(run)
     run.close()
     list(morph("sphere", "star", config, device="cpu", out=out, resume=True))
-    with Trajectory.open(out) as trajectory:
+    with Trajectory(out) as trajectory:
         np.testing.assert_array_equal(trajectory.positions(1), unbroken[1].positions)
 
 

@@ -97,7 +97,7 @@ def test_vtk_reads_a_run_stopped_early(tmp_path, frame_count):
     reader.Update()
     assert not errors
     assert reader.GetOutput().GetNumberOfPoints() == frame_count * N
-    with Trajectory.open(path) as trajectory:
+    with Trajectory(path) as trajectory:
         assert (trajectory.status, len(trajectory)) == ("partial", frame_count)
         assert trajectory.particle_count == N
         np.testing.assert_array_equal(trajectory.run.source_points, POSITIONS[0])
@@ -105,7 +105,7 @@ def test_vtk_reads_a_run_stopped_early(tmp_path, frame_count):
 
 def test_reader_gives_back_all(result):
     """Frames, metrics, events and the run record come back exactly."""
-    with Trajectory.open(result) as trajectory:
+    with Trajectory(result) as trajectory:
         assert trajectory.status == "complete"
         assert (trajectory.frame_count, trajectory.particle_count) == (T, N)
         np.testing.assert_array_equal(trajectory.times, np.arange(T))
@@ -136,7 +136,7 @@ def test_result_without_det_f(tmp_path):
     reader = vtk_reader(path)
     reader.Update()
     assert reader.GetOutput().GetPointData().GetNumberOfArrays() == 0
-    with Trajectory.open(path) as trajectory:
+    with Trajectory(path) as trajectory:
         assert trajectory.det_f(0) is None
         np.testing.assert_array_equal(trajectory.positions(0), POSITIONS[0])
 
@@ -148,7 +148,7 @@ def test_partial_result_and_continued_run_agree(tmp_path):
         for t in range(T):
             spool.append(t, POSITIONS[t], METRICS[t])
             write_result(spool, status="complete" if t == T - 1 else "partial")
-            with Trajectory.open(path) as trajectory:
+            with Trajectory(path) as trajectory:
                 np.testing.assert_array_equal(np.stack(list(trajectory)), POSITIONS[: t + 1])
     assert {file.name for file in tmp_path.iterdir()} == {"r.vtkhdf", "r.vtkhdf.spool"}
 
@@ -159,7 +159,7 @@ def test_flipped_bit_costs_one_frame(result, tmp_path):
     data[data.index(POSITIONS[2].tobytes()) + 1000] ^= 4
     damaged = tmp_path / "damaged.vtkhdf"
     damaged.write_bytes(data)
-    with Trajectory.open(damaged) as trajectory:
+    with Trajectory(damaged) as trajectory:
         with pytest.raises(ResultError, match="frame 2"):
             trajectory.positions(2)
         for t in (0, 1, 3):
@@ -172,7 +172,7 @@ def test_flipped_bit_in_det_f_is_noticed(result, tmp_path):
     data[data.index(DET_F[2].tobytes()) + 1000] ^= 4
     damaged = tmp_path / "damaged.vtkhdf"
     damaged.write_bytes(data)
-    with Trajectory.open(damaged) as trajectory:
+    with Trajectory(damaged) as trajectory:
         with pytest.raises(ResultError, match="det F of frame 2"):
             trajectory.det_f(2)
         np.testing.assert_array_equal(trajectory.det_f(1), DET_F[1])
@@ -186,26 +186,26 @@ def test_truncated_file_is_refused(result, tmp_path, share):
     cut = tmp_path / "cut.vtkhdf"
     cut.write_bytes(data[: int(share * len(data))])
     with pytest.raises(ResultError, match=r"cut\.vtkhdf") as caught:
-        Trajectory.open(cut)
+        Trajectory(cut)
     assert caught.value.remedy
 
 
 def test_other_files_are_refused(tmp_path):
     """A missing file, a mesh and another program's HDF5 file are errors, not tracebacks."""
     with pytest.raises(ResultError, match="no result file"):
-        Trajectory.open(tmp_path / "missing.vtkhdf")
+        Trajectory(tmp_path / "missing.vtkhdf")
     (tmp_path / "mesh.obj").write_text("v 0 0 0\n")
     with pytest.raises(ResultError, match="not a result file"):
-        Trajectory.open(tmp_path / "mesh.obj")
+        Trajectory(tmp_path / "mesh.obj")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["data"] = 1
     with pytest.raises(ResultError, match="not a result file"):
-        Trajectory.open(tmp_path / "other.h5")
+        Trajectory(tmp_path / "other.h5")
 
 
 def test_frame_out_of_range(result):
     """Asking for a frame that is not there says how many there are."""
-    with Trajectory.open(result) as trajectory, pytest.raises(ResultError, match="4 frames"):
+    with Trajectory(result) as trajectory, pytest.raises(ResultError, match="4 frames"):
         trajectory.positions(T)
 
 
