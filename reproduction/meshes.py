@@ -30,13 +30,11 @@ class Asset:
     """A mesh of the paper (algorithm 1.5).
 
     Attributes:
-        label: The paper's name.
         origin: Where the public original comes from.
         particle_count: Particles at 3 points per cell edge.
         bounds: Lower and upper corner [dx]; None where the authors' file is not known.
     """
 
-    label: str
     origin: str
     particle_count: int
     bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None
@@ -44,50 +42,35 @@ class Asset:
 
 ASSETS = {
     "sphere.obj": Asset(
-        "Sphere", "an icosahedron subdivided once, radius 7.25, centre (0, 0, -0.625)", 37_644,
+        "an icosahedron subdivided once, radius 7.25, centre (0, 0, -0.625)", 37_644,
         ((-6.8952, -7.25, -7.875), (6.8952, 7.25, 6.625)),
     ),
     "bunny.obj": Asset(
-        "Bunny", f"{_STANFORD} (bunny)", 31_428,
+        f"{_STANFORD} (bunny)", 31_428,
         ((-8.105, -7.8421, -7.0628), (5.8329, 10.1412, 10.7628)),
     ),
     "duck.obj": Asset(
-        "Duck", f"{_CRANE} (Bob)", 36_166,
+        f"{_CRANE} (Bob)", 36_166,
         ((-9.145, -11.4117, -6.391), (9.145, 11.788, 5.7656)),
     ),
     "cow.obj": Asset(
-        "Cow", f"{_CRANE} (Spot)", 25_792,
+        f"{_CRANE} (Spot)", 25_792,
         ((-5.1871, -8.458, -9.2046), (5.1871, 10.439, 9.3901)),
     ),
-    "teapot.obj": Asset(
-        "Teapot", "the Utah teapot", 44_497, ((-8.0, -12.0, -5.0), (8.0, 13.736, 7.6))
-    ),
-    "dragon.obj": Asset(
-        "Dragon", f"{_STANFORD} (dragon), scaled to 26 grid units", 37_000, None
-    ),
+    "teapot.obj": Asset("the Utah teapot", 44_497, ((-8.0, -12.0, -5.0), (8.0, 13.736, 7.6))),
+    "dragon.obj": Asset(f"{_STANFORD} (dragon), scaled to 26 grid units", 37_000, None),
     "duck_y90.obj": Asset(
-        "Duck", f"{_CRANE} (Bob), turned by 90 degrees about y", 36_173,
+        f"{_CRANE} (Bob), turned by 90 degrees about y", 36_173,
         ((-6.391, -11.4117, -9.145), (5.7656, 11.788, 9.145)),
     ),
     "heart.obj": Asset(
-        "Heart", "any heart, to the bounds of algorithm 1.5", 26_576,
+        "any heart, to the bounds of algorithm 1.5", 26_576,
         ((-4.1041, -7.9688, -8.9653), (4.1231, 7.9688, 5.9709)),
     ),
-    "letter_C.obj": Asset(
-        "C", _LETTERS, 36_243, ((-6.21, -6.8753, -10.436), (6.75, 7.5881, 10.2092))
-    ),
-    "letter_E.obj": Asset(
-        "E", _LETTERS, 45_491, ((-6.3, -4.5115, -10.443), (6.7, 8.5295, 10.5))
-    ),
-    "letter_V.obj": Asset(
-        "V", _LETTERS, 50_233, ((-6.3, -9.0592, -11.8192), (6.5, 8.8832, 7.9376))
-    ),
+    "letter_C.obj": Asset(_LETTERS, 36_243, ((-6.21, -6.8753, -10.436), (6.75, 7.5881, 10.2092))),
+    "letter_E.obj": Asset(_LETTERS, 45_491, ((-6.3, -4.5115, -10.443), (6.7, 8.5295, 10.5))),
+    "letter_V.obj": Asset(_LETTERS, 50_233, ((-6.3, -9.0592, -11.8192), (6.5, 8.8832, 7.9376))),
 }  # fmt: skip
-
-
-def label(name: str) -> str:
-    """The paper's name of a mesh; the name itself of any other shape."""
-    return ASSETS[name].label if name in ASSETS else name
 
 
 def particle_count(name: str) -> int:

@@ -25,7 +25,7 @@ class Row:
     remark: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Experiment:
     """A table, its figures and what they show.
 
@@ -42,7 +42,7 @@ class Experiment:
 
     name: str
     title: str
-    origin: str
+    origin: str = "not in the paper"
     rows: tuple[Row, ...]
     metrics: tuple[str, ...]
     remarks: tuple[str, ...] = ()

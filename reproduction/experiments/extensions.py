@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from chamfer_morph.reproduction.experiments.experiment import Experiment, Row
@@ -12,8 +12,8 @@ from chamfer_morph.reproduction.experiments.paper_tables import (
     converged,
     shape_run,
 )
-from chamfer_morph.reproduction.runs.run import Run
 
+_extension = partial(Experiment, in_all=False)
 PAIRS = (*PAIR_NAMES, *(("Sphere", target) for target in ("Dragon", "Heart", "C", "E", "V")))
 """The paper's 20 pairs, and its sphere to the other shapes."""
 
@@ -36,36 +36,17 @@ FILL_METRICS = (
 )
 
 
-def transport(
-    source: str,
-    target: str,
-    *,
-    edge: int = 3,
-    variant: str = "",
-    seed: int = SEEDS[0],
-    overrides: Mapping[str, Any] | None = None,
-) -> Run:
-    """A run of `transport` at its default settings, but for what is overridden."""
-    return shape_run(
-        source,
-        target,
-        "transport",
-        edge=edge,
-        variant=variant,
-        seed=seed,
-        preset="fast",
-        overrides=overrides,
-    )
+transport = partial(shape_run, method="transport", preset="fast")
+"""A run of `transport` at its default settings, but for what is overridden."""
 
 
 def _name(pair: tuple[str, str]) -> str:
     return " → ".join(pair)
 
 
-TRANSPORT = Experiment(
+TRANSPORT = _extension(
     name="transport",
     title="Transport against the paper's joint method",
-    origin="not in the paper",
     metrics=FILL_METRICS,
     rows=tuple(
         Row(f"{_name(pair)}, {method}", (run,), _name(pair))
@@ -73,13 +54,11 @@ TRANSPORT = Experiment(
         for method, run in (("joint", shape_run(*pair, "joint")), ("transport", transport(*pair)))
     ),
     remarks=("3 points per cell edge; joint with the published settings, transport with its own.",),
-    in_all=False,
 )
 
-FINER = Experiment(
+FINER = _extension(
     name="finer",
     title="Transport at higher resolution",
-    origin="not in the paper",
     metrics=(*FILL_METRICS, "escaped", "outside_max"),
     rows=(
         *(
@@ -100,29 +79,25 @@ FINER = Experiment(
         ),
     ),
     remarks=("Default settings throughout; distances at different h have different floors.",),
-    in_all=False,
 )
 
-REPEATS = Experiment(
+REPEATS = _extension(
     name="repeats",
     title="Transport with other seeds",
-    origin="not in the paper",
     metrics=FILL_METRICS,
     rows=tuple(
         Row(_name(pair), tuple(transport(*pair, seed=seed) for seed in SEEDS), _name(pair))
         for pair in SELECTED_PAIRS
     ),
     remarks=("Means and standard deviations over three seeds of jitter and plan.",),
-    in_all=False,
 )
 
 
 PATH_METRICS = ("least_gap_ever", "det_f_min_ever", "det_f_max_ever", "max_move_ever")
 
-MOTION = Experiment(
+MOTION = _extension(
     name="motion",
     title="How transport gets there",
-    origin="not in the paper",
     metrics=(*PATH_METRICS, "det_f_mean", "kinetic_energy", "max_speed", "correction"),
     rows=tuple(Row(_name(pair), (transport(*pair),), _name(pair)) for pair in PAIRS),
     remarks=(
@@ -130,7 +105,6 @@ MOTION = Experiment(
         "least and the greatest det F, and the farthest way of a particle in a frame (in dx). The "
         "last four are of the last frame.",
     ),
-    in_all=False,
 )
 
 REMOVED_PARTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -144,10 +118,9 @@ REMOVED_PARTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 )
 """Ingredients of `transport`, each left out once: label, variant, overrides."""
 
-INGREDIENTS = Experiment(
+INGREDIENTS = _extension(
     name="ingredients",
     title="What each part of transport does",
-    origin="not in the paper",
     metrics=("two_sided", "iou", "rho_p05", "rho_p95", "overlap_h10", *PATH_METRICS),
     rows=tuple(
         Row(
@@ -163,13 +136,11 @@ INGREDIENTS = Experiment(
         "without correction, the grid alone moves particles; without the grid, every particle "
         "goes straight to its place.",
     ),
-    in_all=False,
 )
 
-OBJECTIVES = Experiment(
+OBJECTIVES = _extension(
     name="objectives",
     title="Is collapse peculiar to nearest neighbours?",
-    origin="not in the paper",
     metrics=(
         "two_sided", "overlap_01", "overlap_h10", "many_to_one", "iou", "rho_p05", "rho_p95",
     ),
@@ -184,10 +155,10 @@ OBJECTIVES = Experiment(
         "Sphere → Bunny, 3 points per cell edge. The first four move points without physics; the "
         "first two match each to its nearest, the other two hand out the target's mass.",
     ),
-    in_all=False,
 )  # fmt: skip
 
-_IN_ORDER = (TRANSPORT, MOTION, FINER, REPEATS, INGREDIENTS, OBJECTIVES)
-
-EXTENSIONS = {experiment.name: experiment for experiment in _IN_ORDER}
+EXTENSIONS = {
+    experiment.name: experiment
+    for experiment in (TRANSPORT, MOTION, FINER, REPEATS, INGREDIENTS, OBJECTIVES)
+}
 """All of them by name."""

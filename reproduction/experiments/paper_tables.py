@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from chamfer_morph.reproduction.experiments.experiment import Experiment, Row
@@ -94,6 +95,10 @@ def shape_run(
     )
 
 
+_bunny = partial(shape_run, "Sphere", "Bunny")
+_fine_bunny = partial(_bunny, edge=4)
+
+
 def _row(label: str, *runs: Run, group: str = "", remark: str = "") -> Row:
     return Row(label, runs, group, remark)
 
@@ -101,7 +106,7 @@ def _row(label: str, *runs: Run, group: str = "", remark: str = "") -> Row:
 def _regularised(variant: str, *weights: float) -> Run:
     names = ("regularizers.repulsion", "regularizers.smoothness", "regularizers.volume")
     overrides = dict(zip(names, weights, strict=True))
-    return shape_run("Sphere", "Bunny", "dco", edge=4, variant=variant, overrides=overrides)
+    return _fine_bunny("dco", variant=variant, overrides=overrides)
 
 
 REGULARISERS = Experiment(
@@ -110,31 +115,31 @@ REGULARISERS = Experiment(
     origin="Table 1",
     metrics=(*CHAMFER, "overlap_01", "overlap_h10", "many_to_one"),
     rows=(
-        _row("DCO", shape_run("Sphere", "Bunny", "dco", edge=4)),
+        _row("DCO", _fine_bunny("dco")),
         _row("DCO + repulsion 0.01", _regularised("rep001", 0.01, 0, 0)),
         _row("DCO + repulsion 0.1", _regularised("rep01", 0.1, 0, 0)),
         _row("DCO + repulsion, smoothness", _regularised("repsm", 0.05, 0.01, 0)),
         _row("DCO + repulsion, smoothness, volume", _regularised("repsmvol", 0.05, 0.01, 0.1)),
-        _row("DCD", shape_run("Sphere", "Bunny", "dcd", edge=4)),
+        _row("DCD", _fine_bunny("dcd")),
         _row(
             "DCD, inverse weights",
-            shape_run("Sphere", "Bunny", "dcd", edge=4, variant="inverse", overrides=INVERSE),
+            _fine_bunny("dcd", variant="inverse", overrides=INVERSE),
             remark="The weights that the paper describes; the published program has the reverse.",
         ),
         _row(
             "Density-aware (Wu et al.)",
-            shape_run("Sphere", "Bunny", "density_aware", edge=4),
+            _fine_bunny("density_aware"),
             remark="The density-aware Chamfer distance as Wu et al. define it.",
         ),
-        _row("Shared basis", shape_run("Sphere", "Bunny", "shared_basis", edge=4)),
+        _row("Shared basis", _fine_bunny("shared_basis")),
         _row(
             "Physics",
-            shape_run("Sphere", "Bunny", "physics", edge=4),
+            _fine_bunny("physics"),
             remark="The printed row fits s→t at 4 points per edge and t→s at 3 (algorithm 11).",
         ),
         _row(
             "Physics, 3 per edge",
-            shape_run("Sphere", "Bunny", "physics"),
+            _bunny("physics"),
             group="3 per edge",
             remark="Another resolution, not comparable with the rows above.",
         ),
@@ -146,31 +151,27 @@ REGULARISERS = Experiment(
 )
 
 
-def _shape_rows() -> tuple[Row, ...]:
-    rows: list[Row] = []
-    for target in TARGETS:
-        fine, usual = f"{target}, 4 per edge", f"{target}, 3 per edge"
-        rows += [
-            _row(f"{target}, DCO", shape_run("Sphere", target, "dco", edge=4), group=fine),
-            _row(f"{target}, DCD", shape_run("Sphere", target, "dcd", edge=4), group=fine),
-            _row(f"{target}, Physics", shape_run("Sphere", target, "physics", edge=4), group=fine),
-            _row(f"{target}, DCO, 3 per edge", shape_run("Sphere", target, "dco"), group=usual),
-            _row(
-                f"{target}, Physics, 3 per edge",
-                shape_run("Sphere", target, "physics"),
-                group=usual,
-            ),
-            _row(f"{target}, Joint, 3 per edge", shape_run("Sphere", target, "joint"), group=usual),
-        ]
-    return tuple(rows)
-
-
 SHAPES_TABLE = Experiment(
     name="shapes",
     title="Generalisation over shapes",
     origin="Table 2",
     metrics=("two_sided", "s2t", "t2s", "f1", "overlap_h10"),
-    rows=_shape_rows(),
+    rows=tuple(
+        _row(
+            f"{target}, {label}",
+            shape_run("Sphere", target, method, edge=edge),
+            group=f"{target}, {edge} per edge",
+        )
+        for target in TARGETS
+        for label, method, edge in (
+            ("DCO", "dco", 4),
+            ("DCD", "dcd", 4),
+            ("Physics", "physics", 4),
+            ("DCO, 3 per edge", "dco", 3),
+            ("Physics, 3 per edge", "physics", 3),
+            ("Joint, 3 per edge", "joint", 3),
+        )
+    ),
     remarks=(
         "The printed physics column mixes two resolutions (algorithm 11); rows that end with "
         "3 per edge compare the methods at one.",
@@ -301,13 +302,13 @@ ABLATION = Experiment(
         ),
         _row(
             "Program variant: w_phys on the adjoint",
-            shape_run("Sphere", "Bunny", "joint", variant="chain", overrides=CHAIN),
+            _bunny("joint", variant="chain", overrides=CHAIN),
             group="variants",
             remark="H1 of algorithm 7.3.",
         ),
         _row(
             "Program variant: older",
-            shape_run("Sphere", "Bunny", "joint", variant="older", overrides=OLDER),
+            _bunny("joint", variant="older", overrides=OLDER),
             group="variants",
             remark="Reverse weight 0.3, no clamp, no smoothing (algorithm 11).",
         ),
@@ -318,7 +319,6 @@ ABLATION = Experiment(
 CHANCE = Experiment(
     name="chance",
     title="Sphere source, three seeds",
-    origin="not in the paper",
     metrics=(*CHAMFER, "hausdorff", "f1"),
     rows=tuple(
         _seeds_row(f"{target}, {method}", "", method=method, target=target, group=target)
@@ -411,19 +411,14 @@ def converged(
     frames: int = CONVERGED_FRAMES,
 ) -> Run:
     """Sphere → Bunny by a method of points that is given the time to come to rest."""
-    return shape_run(
-        "Sphere",
-        "Bunny",
-        method,
-        variant="-".join(filter(None, (variant, "converged"))),
-        frames=frames,
-        overrides={**(overrides or {}), **CONVERGED},
-    )
+    variant = f"{variant}-converged" if variant else "converged"
+    overrides = {**(overrides or {}), **CONVERGED}
+    return _bunny(method, variant=variant, frames=frames, overrides=overrides)
 
 
 def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, Any]) -> list[Row]:
     """A method of points as tabulated, and converged."""
-    stopped = shape_run("Sphere", "Bunny", method, variant=variant, overrides=overrides)
+    stopped = _bunny(method, variant=variant, overrides=overrides)
     end = converged(method, variant, overrides)
     return [_row(label, stopped, group="3"), _row(f"{label}, converged", end, group="3")]
 
@@ -431,7 +426,6 @@ def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, A
 FAIRNESS = Experiment(
     name="fairness",
     title="Equal resolution, converged, and with the overlap counted",
-    origin="not in the paper",
     metrics=(
         "two_sided", "s2t", "t2s", "overlap_01", "overlap_h10", "many_to_one", "targets_used",
         "iou", "rho_p05", "rho_p50", "rho_p95",
@@ -440,23 +434,23 @@ FAIRNESS = Experiment(
         *_points_row("DCO", "dco", "", {}),
         _row(
             "DCO, epsilon 1e-8",
-            shape_run("Sphere", "Bunny", "dco", variant="eps8", overrides=CONVERGED),
+            _bunny("dco", variant="eps8", overrides=CONVERGED),
             group="3",
         ),
         *_points_row("DCD", "dcd", "", {}),
         *_points_row("DCD, inverse weights", "dcd", "inverse", INVERSE),
         *_points_row("Density-aware (Wu et al.)", "density_aware", "", {}),
         *_points_row("Shared basis", "shared_basis", "", {}),
-        _row("Physics", shape_run("Sphere", "Bunny", "physics"), group="3"),
+        _row("Physics", _bunny("physics"), group="3"),
         _row(
             "Physics, smoothing 0.7 from frame 15",
-            shape_run("Sphere", "Bunny", "physics", variant="override", overrides=OVERRIDE),
+            _bunny("physics", variant="override", overrides=OVERRIDE),
             group="3",
         ),
-        _row("Joint", shape_run("Sphere", "Bunny", "joint"), group="3"),
+        _row("Joint", _bunny("joint"), group="3"),
         _row(
             "Joint, preset fast",
-            shape_run("Sphere", "Bunny", "joint").quick(),
+            _bunny("joint").quick(),
             group="3",
             remark="This project's default settings.",
         ),
@@ -484,7 +478,6 @@ def _trial(method: str) -> Run:
 TRIAL = Experiment(
     name="trial",
     title="Trial of the machinery",
-    origin="not in the paper",
     metrics=("two_sided", "s2t", "t2s"),
     rows=(_row("DCO", _trial("dco")), _row("Joint", _trial("joint"))),
     remarks=("Built-in shapes at the coarsest resolution; no meshes needed.",),

@@ -51,6 +51,7 @@ STYLE: Any = {
     "axes.axisbelow": True,
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.6,
+    "errorbar.capsize": 3,
     "lines.linewidth": 1.6,
     "legend.frameon": False,
     "legend.fontsize": 7.5,
@@ -74,24 +75,23 @@ def name_of(metric: str) -> str:
     return f"{text} [{unit}]" if unit in ("dx", "h") else text
 
 
-def convergence(table: Table, metric: str = "s2t") -> Figure:
+def convergence(table: Table, metric: str) -> Figure:
     """A metric over frames, a panel per target and a curve per row."""
     with style():
         figure = Figure(figsize=(7.2, 5.2), layout="constrained")
-        panels = figure.subplots(2, 2, sharex=True).ravel()
-        for axes, target in zip(panels, TARGETS, strict=True):
-            lines = [line for line in table.lines if line.row.label.startswith(f"{target}, ")]
-            for line in lines:
-                label = line.row.label.partition(", ")[2]
-                _curve(axes, line, metric, label=label)
-            axes.set(title=f"Sphere → {target}", yscale="log")
-            _few_log_ticks(axes)
-        for axes in panels[2:]:
+        panels = figure.subplots(2, 2, sharex=True)
+        for axes, target in zip(panels.ravel(), TARGETS, strict=True):
+            for line in table.lines:
+                name, _, label = line.row.label.partition(", ")
+                if name == target:
+                    _curve(axes, line, metric, label=label)
+            axes.set(title=f"Sphere → {target}")
+            _log_scale(axes)
+        for axes in panels[1]:
             axes.set_xlabel("frame")
-        for axes in panels[::2]:
+        for axes in panels[:, 0]:
             axes.set_ylabel(name_of(metric))
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels) or 1))
+        _legend(figure, panels[0, 0])
     return figure
 
 
@@ -105,11 +105,15 @@ def curves(table: Table, metrics: tuple[str, ...]) -> Figure:
                 _curve(axes, line, metric, label=line.row.label)
             axes.set(xlabel="frame", title=name_of(metric))
             if METRICS[metric].unit == "dx":
-                axes.set_yscale("log")
-                _few_log_ticks(axes)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+                _log_scale(axes)
+        _legend(figure, panels[0])
     return figure
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    """Name the curves of a panel below the figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
 
 
 def _curve(axes: Axes, line: TableRow, metric: str, *, label: str) -> None:
@@ -138,7 +142,8 @@ def _dashes(record: Record) -> str | tuple[int, tuple[float, ...]]:
     return "-" if not run.overrides else (0, (4, 1, 1, 1))
 
 
-def _few_log_ticks(axes: Axes) -> None:
+def _log_scale(axes: Axes) -> None:
+    axes.set_yscale("log")
     low, high = axes.get_ylim()
     ticks = [value for value in (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5) if low <= value <= high]
     axes.set_yticks(ticks, [f"{value:g}" for value in ticks])
@@ -147,28 +152,25 @@ def _few_log_ticks(axes: Axes) -> None:
 
 def scatter(table: Table) -> Figure:
     """Physics against joint, a point per pair; the marker tells the source, hollow is printed."""
+    printed: Any = {
+        "s": 26,
+        "facecolors": "none",
+        "edgecolors": GREY,
+        "linewidths": 0.8,
+        "zorder": 2,
+    }
+    ours: Any = {"s": 36, "facecolors": BLUE, "edgecolors": "white", "linewidths": 0.6, "zorder": 3}
     with style():
         figure = Figure(figsize=(4.8, 4.8), layout="constrained")
         axes = figure.subplots()
         values: list[float] = []
         for source in SHAPES:
-            for origin in ("printed", "ours"):
+            for origin, look in (("printed", printed), ("ours", ours)):
                 points = _pair_points(table, source, origin)
-                if not points:
-                    continue
-                x, y = np.transpose(points)
-                values += [*x, *y]
-                ours = origin == "ours"
-                axes.scatter(
-                    x,
-                    y,
-                    marker=MARKERS[source],
-                    s=36 if ours else 26,
-                    facecolors=BLUE if ours else "none",
-                    edgecolors="white" if ours else GREY,
-                    linewidths=0.6 if ours else 0.8,
-                    zorder=3 if ours else 2,
-                )
+                if points:
+                    x, y = np.transpose(points)
+                    values += [*x, *y]
+                    axes.scatter(x, y, marker=MARKERS[source], **look)
         if values:
             low, high = 0.95 * min(values), 1.05 * max(values)
             axes.plot([low, high], [low, high], color=BLACK, linewidth=0.8, zorder=1)
@@ -190,11 +192,10 @@ def scatter(table: Table) -> Figure:
 def _pair_points(table: Table, source: str, origin: str) -> list[tuple[float, float]]:
     points = []
     for target in SHAPES:
-        cells = [
-            table.cell(f"{source} → {target}, {method}", "two_sided")
+        x, y = (
+            getattr(table.cell(f"{source} → {target}, {method}", "two_sided"), origin)
             for method in ("physics", "joint")
-        ]
-        x, y = (cell.printed if origin == "printed" else cell.ours for cell in cells)
+        )
         if x is not None and y is not None:
             points.append((x, y))
     return points
@@ -208,20 +209,14 @@ def printed_against_ours(table: Table, metric: str = "two_sided") -> Figure:
         axes = figure.subplots()
         for place, line in enumerate(lines):
             cell = line.cells[metric]
-            assert cell.ours is not None
             if cell.printed is not None:
                 axes.plot(cell.printed, place, "o", mfc="white", mec=BLACK, ms=7, mew=1.1)
             if cell.program is not None:
                 axes.plot(cell.program, place, "D", mfc="none", mec=GREEN, ms=6, mew=1.3)
+            assert cell.ours is not None
+            color = color_of(line.records[0])
             axes.errorbar(
-                [cell.ours],
-                [place],
-                xerr=None if cell.deviation is None else [cell.deviation],
-                fmt="o",
-                color=color_of(line.records[0]),
-                ms=4,
-                capsize=3,
-                elinewidth=1.2,
+                cell.ours, place, xerr=cell.deviation, fmt="o", color=color, ms=4, elinewidth=1.2
             )
         axes.set_yticks(range(len(lines)), [line.row.label for line in lines])
         axes.set_ylim(len(lines) - 0.5, -0.5)

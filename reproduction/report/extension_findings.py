@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from math import inf
 from statistics import median
 
 from chamfer_morph.reproduction.report.tables import Table, distance_from_ideal
 
-Bound = tuple[str, str, Callable[[float], bool]]
+Bound = tuple[str, str, str, float, float]
 
 BOUNDS: tuple[Bound, ...] = (
-    ("iou", "a volume overlap below .95", lambda value: value < 0.95),
-    ("rho_p05", "a 5 % quantile of the density below .70", lambda value: value < 0.70),
-    ("rho_p95", "a 95 % quantile above 1.45", lambda value: value > 1.45),
-    ("rho_p99", "a 99 % quantile above 2", lambda value: value > 2.0),
-    ("hausdorff", "a Hausdorff distance above .9", lambda value: value > 0.9),
-    ("surface_mean", "a surface farther than .20 from the target's", lambda value: value > 0.2),
-    ("overlap_h10", "particles closer than .1 h to another", lambda value: value > 0),
+    ("iou", "volume overlap", "a volume overlap below .95", 0.95, inf),
+    ("rho_p05", "5 % quantile of the density", "a 5 % quantile of the density below .70", 0.7, inf),
+    ("rho_p95", "95 % quantile", "a 95 % quantile above 1.45", 0, 1.45),
+    ("rho_p99", "99 % quantile", "a 99 % quantile above 2", 0, 2),
+    ("hausdorff", "Hausdorff distance", "a Hausdorff distance above .9", 0, 0.9),
+    (
+        "surface_mean",
+        "distance of the surfaces",
+        "a surface farther than .20 from the target's",
+        0,
+        0.2,
+    ),
+    (
+        "overlap_h10",
+        "share of particles closer than .1 h to another",
+        "particles closer than .1 h to another",
+        0,
+        0,
+    ),
 )
-"""What a full and even morph keeps to."""
-
-NAMES = {
-    "iou": "volume overlap",
-    "rho_p05": "5 % quantile of the density",
-    "rho_p95": "95 % quantile",
-    "rho_p99": "99 % quantile",
-    "hausdorff": "Hausdorff distance",
-    "surface_mean": "distance of the surfaces",
-    "overlap_h10": "share of particles closer than .1 h to another",
-}
+"""What a full and even morph keeps to: a metric, its name, what is beyond, least and greatest."""
 
 
 def transport(table: Table) -> list[str]:
     """Transport against joint, pair by pair, and against the bounds of a full, even morph."""
     sentences = []
-    distances = _beside_joint(table, "two_sided")
+    distances = table.pairs(table.groups, "{}, transport", "{}, joint", "two_sided")
     if distances:
         ratios = {pair: ours / joint for pair, (ours, joint) in distances.items()}
         worst = max(ratios, key=lambda pair: ratios[pair])
@@ -43,13 +46,13 @@ def transport(table: Table) -> list[str]:
             f"at most {ratios[worst]:.2f} ({worst}), over {len(ratios)} pairs."
         )
     for metric, words in (("f1", "F1"), ("iou", "Volume overlap")):
-        numbers = _beside_joint(table, metric)
+        numbers = table.pairs(table.groups, "{}, transport", "{}, joint", metric)
         if numbers:
             gains = {pair: ours - joint for pair, (ours, joint) in numbers.items()}
             worst = min(gains, key=lambda pair: gains[pair])
             sentences.append(f"{words} is {gains[worst]:+.3f} of joint's at the least ({worst}).")
     labels = [line.row.label for line in table.lines if line.row.label.endswith(", transport")]
-    return [*sentences, *_cost(table), *_extremes(table, labels), *_within(table, labels)]
+    return [*sentences, *_cost(table), *bounds(table, labels)]
 
 
 def _cost(table: Table) -> list[str]:
@@ -67,15 +70,33 @@ def _cost(table: Table) -> list[str]:
     return [f"CPU time of a run, median: {'; '.join(parts)}."] if parts else []
 
 
-def _beside_joint(table: Table, metric: str) -> dict[str, tuple[float, float]]:
-    """A metric of transport and of joint, by pair, where both are known."""
-    return table.pairs(table.groups, "{}, transport", "{}, joint", metric)
+def bounds(table: Table, labels: Sequence[str] | None = None) -> list[str]:
+    """The worst of each bounded metric, its median, and which rows are beyond a bound.
 
-
-def bounds(table: Table) -> list[str]:
-    """Every row against the bounds of a full, even morph."""
-    labels = [line.row.label for line in table.lines]
-    return [*_extremes(table, labels), *_within(table, labels)]
+    Args:
+        table: The numbers.
+        labels: Of the rows; all by default.
+    """
+    extremes, beyond = [], []
+    for metric, name, words, least, greatest in BOUNDS:
+        values = table.numbers(metric, labels)
+        if values:
+            worst = max(values, key=lambda label: distance_from_ideal(metric, values[label]))
+            middle = median(values.values())
+            extremes.append(f"{name} {values[worst]:.3f} ({worst}), median {middle:.3f}")
+        rows = [
+            f"{label} ({value:.3f})"
+            for label, value in values.items()
+            if value < least or value > greatest
+        ]
+        if rows:
+            beyond.append(f"{words}: {', '.join(rows)}")
+    count = len(table.lines if labels is None else labels)
+    sentences = [f"The worst of {count} rows: {'; '.join(extremes)}."] if extremes else []
+    if table.numbers("iou", labels):
+        end = f"There is {'; '.join(beyond)}." if beyond else "No row is beyond any bound."
+        sentences.append(end)
+    return sentences
 
 
 def motion(table: Table) -> list[str]:
@@ -112,33 +133,3 @@ def objectives(table: Table) -> list[str]:
     """Who collapses."""
     shares = [f"{label} {share:.1%}" for label, share in table.numbers("overlap_h10").items()]
     return [f"Particles closer than .1 h to another: {'; '.join(shares)}."] if shares else []
-
-
-def _extremes(table: Table, labels: Sequence[str]) -> list[str]:
-    """The worst row of each bounded metric, and the median."""
-    parts = []
-    for metric, *_ in BOUNDS:
-        values = table.numbers(metric, labels)
-        if values:
-            worst = max(values, key=lambda label: distance_from_ideal(metric, values[label]))
-            parts.append(
-                f"{NAMES[metric]} {values[worst]:.3f} ({worst}), median "
-                f"{median(values.values()):.3f}"
-            )
-    return [f"The worst of {len(labels)} rows: {'; '.join(parts)}."] if parts else []
-
-
-def _within(table: Table, labels: Sequence[str]) -> list[str]:
-    """Which rows are beyond a bound, or that none is."""
-    beyond = []
-    for metric, words, is_beyond in BOUNDS:
-        rows = [
-            f"{label} ({value:.3f})"
-            for label, value in table.numbers(metric, labels).items()
-            if is_beyond(value)
-        ]
-        if rows:
-            beyond.append(f"{words}: {', '.join(rows)}")
-    if not table.numbers("iou", labels):
-        return []
-    return ["There is " + "; ".join(beyond) + "."] if beyond else ["No row is beyond any bound."]

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.figure import Figure
 from PIL import Image
@@ -17,9 +18,8 @@ from chamfer_morph.reproduction.report.particle_images import (
     PointCloud,
     cross_sections,
     densities,
-    final_cloud,
+    frame_cloud,
     gallery,
-    source_cloud,
     target_cloud,
 )
 from chamfer_morph.reproduction.report.tables import Table
@@ -50,8 +50,7 @@ class ReportFigure:
     problem: str = ""
 
 
-@dataclass(frozen=True)
-class FigureSpec:
+class FigureSpec(NamedTuple):
     """A figure that an experiment has."""
 
     name: str
@@ -60,50 +59,39 @@ class FigureSpec:
 
 
 def draw_all(table: Table, store: Store, folder: Path) -> tuple[ReportFigure, ...]:
-    """DrawFunction the figures of an experiment into a folder, as PNG and SVG.
+    """Draw the figures of an experiment into a folder, as PNG and SVG.
 
     A figure whose data are absent is left out and says what it lacks.
 
     Raises:
         OSError: The folder cannot be written.
     """
-    return tuple(
-        _drawn(spec, table, store, folder) for spec in FIGURES.get(table.experiment.name, ())
-    )
+    figures = []
+    for name, caption, draw in FIGURES.get(table.experiment.name, ()):
+        stem = f"{table.experiment.name}-{name}"
+        try:
+            figures.append(save(draw(table, store), folder / stem, caption))
+        except ResultError as error:
+            why = str(error).replace(f"{store.folder}{os.sep}", "")
+            figures.append(ReportFigure(stem, caption, problem=f"This figure is missing: {why}"))
+    return tuple(figures)
 
 
-def _drawn(spec: FigureSpec, table: Table, store: Store, folder: Path) -> ReportFigure:
-    name = f"{table.experiment.name}-{spec.name}"
-    try:
-        figure = spec.draw(table, store)
-    except ResultError as error:
-        why = str(error).replace(f"{store.folder}{os.sep}", "")
-        return ReportFigure(name, spec.caption, problem=f"This figure is missing: {why}")
-    return ReportFigure(name, spec.caption, png=save(figure, folder / name))
-
-
-def save(figure: Figure, path: Path) -> bytes:
-    """Write a figure as path.png and path.svg; the bytes of the first."""
+def save(figure: Figure, path: Path, caption: str) -> ReportFigure:
+    """Write a figure as path.png and path.svg."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    images = {}
+    png, svg, smaller = io.BytesIO(), io.BytesIO(), io.BytesIO()
     with charts.style():
-        for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
-            image = io.BytesIO()
-            figure.savefig(image, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
-            images[kind] = _few_colours(image) if kind == "png" else image.getvalue()
-            with replacing(path.with_name(f"{path.name}.{kind}")) as temporary:
-                temporary.write_bytes(images[kind])
-    return images["png"]
-
-
-def _few_colours(png: io.BytesIO) -> bytes:
-    """A picture in 256 colours, which takes a third of the space."""
-    smaller = io.BytesIO()
+        figure.savefig(png, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+        figure.savefig(svg, format="svg", dpi=DOTS_PER_INCH, metadata={"Date": None})
+    # 256 colours take a third of the space
     picture = Image.open(png).convert("RGB")
-    picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-        smaller, "png", optimize=True
-    )
-    return smaller.getvalue()
+    few_colors = picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few_colors.save(smaller, "png", optimize=True)
+    for kind, image in (("png", smaller), ("svg", svg)):
+        with replacing(path.with_name(f"{path.name}.{kind}")) as temporary:
+            temporary.write_bytes(image.getvalue())
+    return ReportFigure(path.name, caption, smaller.getvalue())
 
 
 def _run(table: Table, label: str) -> Run:
@@ -121,12 +109,10 @@ def _run(table: Table, label: str) -> Run:
 def _clouds(
     table: Table, store: Store, labels: Iterable[str], titles: Iterable[str]
 ) -> list[PointCloud]:
+    """The target, and the final particles of rows."""
     runs = [_run(table, label) for label in labels]
     target = target_cloud(store, runs[-1])
-    return [
-        target,
-        *(final_cloud(store, run, title) for run, title in zip(runs, titles, strict=True)),
-    ]
+    return [target, *(frame_cloud(store, *named) for named in zip(runs, titles, strict=True))]
 
 
 def _dots(metric: str = "two_sided") -> DrawFunction:
@@ -135,10 +121,6 @@ def _dots(metric: str = "two_sided") -> DrawFunction:
 
 def _curves(*metrics: str) -> DrawFunction:
     return lambda table, store: charts.curves(table, metrics)
-
-
-def _scatter(table: Table, store: Store) -> Figure:
-    return charts.scatter(table)
 
 
 def _finals(labels: Sequence[str], titles: Sequence[str]) -> DrawFunction:
@@ -173,8 +155,8 @@ def _strips(frames: Sequence[int]) -> DrawFunction:
             run = _run(table, line.row.label)
             last = line.records[0].frames - 1
             chosen = [last if frame < 0 else min(frame, last) for frame in frames]
-            clouds = [final_cloud(store, run, f"frame {frame}", frame=frame) for frame in chosen]
-            opening = [target_cloud(store, run), source_cloud(store, run)]
+            opening = [target_cloud(store, run), frame_cloud(store, run, "source", None)]
+            clouds = [frame_cloud(store, run, f"frame {frame}", frame) for frame in chosen]
             rows.append((line.row.label, [*opening, *clouds]))
         return gallery(rows)
 
@@ -231,12 +213,15 @@ FIGURES: dict[str, tuple[FigureSpec, ...]] = {
         FigureSpec(
             "frames",
             "Two-sided distance over frames.",
-            lambda table, store: charts.convergence(table, "two_sided"),
+            lambda table, _: charts.convergence(table, "two_sided"),
         ),
     ),
-    "pairs": (),
     "scatter": (
-        FigureSpec("pairs", "Each pair: ours filled, printed hollow.", _scatter),
+        FigureSpec(
+            "pairs",
+            "Each pair: ours filled, printed hollow.",
+            lambda table, _: charts.scatter(table),
+        ),
     ),
     "dragon": (
         FigureSpec("finals", "Final particles, coloured by their height in the sphere.", _dragons),
@@ -245,20 +230,21 @@ FIGURES: dict[str, tuple[FigureSpec, ...]] = {
     "ablation": (
         FigureSpec("numbers", f"{_NUMBERS} Bars: one standard deviation over seeds.", _dots()),
     ),
-    "chance": (),
     "overlap": (
         FigureSpec(
             "sections",
             "Slices through the middle. Red particles lie closer than 0.01 to another one.",
-            _sections(
-                ["DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
-            ),
+            _sections(["DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]),
         ),
         FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),
         FigureSpec("frames", "Overlap over frames.", _curves("overlap_01", "overlap_h10")),
     ),
     "convergence": (
-        FigureSpec("frames", "s→t over frames, as computed.", lambda t, s: charts.convergence(t)),
+        FigureSpec(
+            "frames",
+            "s→t over frames, as computed.",
+            lambda table, _: charts.convergence(table, "s2t"),
+        ),
     ),
     "teaser": (FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),),
     "fairness": (
@@ -270,9 +256,7 @@ FIGURES: dict[str, tuple[FigureSpec, ...]] = {
         FigureSpec(
             "sections",
             "Slices through the middle. Red particles lie closer than 0.01 to another one.",
-            _sections(
-                ["DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"]
-            ),
+            _sections(["DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"]),
         ),
         FigureSpec(
             "densities",

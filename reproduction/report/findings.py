@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from statistics import fmean
 
 from chamfer_morph.reproduction.published.numbers import CLAIMS, TARGETS
 from chamfer_morph.reproduction.report import extension_findings
-from chamfer_morph.reproduction.report.tables import Table, distance_from_ideal
+from chamfer_morph.reproduction.report.tables import Cell, Table, distance_from_ideal
 
 Finding = Callable[[Table], list[str]]
 
@@ -66,7 +67,7 @@ def _regularisers(table: Table) -> list[str]:
         f"(the paper: {CLAIMS['regularisers_worse']} of 4)."
     ]
     physics = table.ours("Physics", "two_sided")
-    if plain is not None and physics is not None:
+    if plain and physics:
         sentences.append(
             f"At the same 4 points per edge physics ends at {physics:.3f} and DCO, stopped after "
             f"1200 steps, at {plain:.3f} (the paper: 0.217 and 0.286)."
@@ -148,29 +149,27 @@ def _scatter(table: Table) -> list[str]:
 
 
 def _dragon(table: Table) -> list[str]:
-    coarse, fine, ours, ours_coarse = (
-        table.ours(label, "two_sided")
-        for label in (
-            "Physics, 3 per edge",
-            "Physics, 4 per edge",
-            "Joint, 4 per edge, native settings",
-            "Joint, 3 per edge",
-        )
+    ends = table.numbers("two_sided")
+    coarse, fine = (ends.get(f"Physics, {edge} per edge") for edge in (3, 4))
+    joint, joint_fine = (
+        ends.get("Joint, 3 per edge"),
+        ends.get("Joint, 4 per edge, native settings"),
     )
     sentences = []
-    if coarse is not None and ours is not None:
+    if coarse and joint_fine:
         sentences.append(
-            f"Joint at 4 points per edge is {coarse / ours:.2f} times better than physics at 3 "
-            f"(the paper: {CLAIMS['dragon_gain']:.1f})."
+            f"Joint at 4 points per edge is {coarse / joint_fine:.2f} times better than physics at "
+            f"3 (the paper: {CLAIMS['dragon_gain']:.1f})."
         )
-    if coarse is not None and fine is not None:
+    if coarse and fine:
         sentences.append(
             f"Physics alone gains {coarse / fine:.2f} times from the same change of resolution."
         )
-    if fine is not None and ours is not None:
-        sentences.append(f"At equal resolution joint gains {fine / ours:.2f} times over physics.")
-    if coarse is not None and ours_coarse is not None:
-        word = "better" if ours_coarse < coarse else "not better"
+    if fine and joint_fine:
+        gain = fine / joint_fine
+        sentences.append(f"At equal resolution joint gains {gain:.2f} times over physics.")
+    if coarse and joint:
+        word = "better" if joint < coarse else "not better"
         sentences.append(f"At 3 points per edge joint is {word} (the paper: worse).")
     return sentences
 
@@ -186,32 +185,29 @@ def _chance(table: Table) -> list[str]:
         physics, joint = (
             table.cell(f"{target}, {method}", "two_sided") for method in ("physics", "joint")
         )
-        if physics.ours is None or joint.ours is None:
-            continue
-        deviation = ((physics.deviation or 0) ** 2 + (joint.deviation or 0) ** 2) ** 0.5
-        differences.append(f"{joint.ours - physics.ours:+.4f} ± {deviation:.4f} on {target}")
+        if physics.ours and joint.ours:
+            deviation = _joint_deviation(physics, joint)
+            differences.append(f"{joint.ours - physics.ours:+.4f} ± {deviation:.4f} on {target}")
     if differences:
         sentences.append(f"The means differ by {', '.join(differences)}.")
     return sentences
+
+
+def _joint_deviation(*cells: Cell) -> float:
+    return math.hypot(*(cell.deviation or 0 for cell in cells))
 
 
 def _ablation(table: Table) -> list[str]:
     full = table.cell("Full method", "two_sided")
     if full.ours is None or full.deviation is None:
         return []
-    changed = [
-        line
-        for line in table.lines
-        if line.row.group == "joint" and line.row.label != "Full method"
-    ]
     beyond = []
-    for line in changed:
+    for line in table.lines:
         cell = line.cells["two_sided"]
-        if cell.ours is None or cell.deviation is None:
-            continue
-        noise = 2 * (full.deviation**2 + cell.deviation**2) ** 0.5
-        if abs(cell.ours - full.ours) > noise:
-            beyond.append(f"{line.row.label} ({cell.ours - full.ours:+.3f})")
+        if line.row.group == "joint" and cell.ours is not None and cell.deviation is not None:
+            change = cell.ours - full.ours
+            if abs(change) > 2 * _joint_deviation(full, cell):
+                beyond.append(f"{line.row.label} ({change:+.3f})")
     sentences = [
         f"The full method ends at {full.ours:.4f} ± {full.deviation:.4f}. Beyond twice the joint "
         f"deviation of the repeats lie {', '.join(beyond) or 'no variants'}; in the paper every "
@@ -219,7 +215,7 @@ def _ablation(table: Table) -> list[str]:
     ]
     physics = table.ours("Physics", "two_sided")
     override = table.ours("Physics, smoothing 0.7 from frame 15", "two_sided")
-    if physics is not None and override is not None and physics != full.ours:
+    if physics and override and physics != full.ours:
         share = (physics - override) / (physics - full.ours)
         sentences.append(
             f"The smoothing of the joint runs alone takes physics from {physics:.4f} to "
@@ -257,7 +253,7 @@ def _fairness(table: Table) -> list[str]:
     dco, converged, physics, joint = (
         table.ours(label, "two_sided") for label in ("DCO", "DCO, converged", "Physics", "Joint")
     )
-    if dco is not None and converged is not None and physics is not None and joint is not None:
+    if dco and converged and physics and joint:
         sentences.append(
             f"At equal resolution DCO ends at {dco:.3f}, converged at {converged:.3f}, physics at "
             f"{physics:.3f}, joint at {joint:.3f}: by Chamfer distance alone DCO is "

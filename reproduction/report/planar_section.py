@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
 from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun, rows, run_all
 from chamfer_morph.reproduction.planar.figure import figure
-from chamfer_morph.reproduction.report.figures import ReportFigure, save
+from chamfer_morph.reproduction.report.figures import save
 from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
 from chamfer_morph.reproduction.report.tables import VERSION, Cell, csv_text, format_exact
 
-COLUMNS = ("cd", "coverage", "cluster_02", "cluster_005", "targets_used", "crowded", "unevenness")
 NAMES = {
     "cd": "two-sided",
     "coverage": "coverage",
@@ -22,6 +21,8 @@ NAMES = {
     "crowded": "crowded",
     "unevenness": "uneven",
 }
+"""Headings of the table by metric."""
+
 LABELS = {
     "start": "The circle itself",
     "even_spread": "600 points spread evenly over the star",
@@ -35,13 +36,7 @@ LABELS = {
 
 
 def planar_section(name: str, title: str, origin: str, figures: Path) -> Section:
-    """Run the 2D experiment and lay it out.
-
-    Args:
-        name: Of the section.
-        title: Its heading.
-        origin: Where it stands in the paper.
-        figures: Folder of the figures.
+    """Run the 2D experiment and lay it out, its figure drawn into a folder.
 
     Raises:
         OSError: The folder cannot be written.
@@ -60,18 +55,14 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
             "evenly over the star lie 0.0135 apart, closer than its 0.02.",
         ),
         table=display_table(
-            [
-                (_label(row), f"{row.steps} steps" if row.steps else "", _cells(row))
-                for row in table
-            ],
-            NAMES,
+            [(_label(r), f"{r.steps} steps" if r.steps else "", _cells(r)) for r in table], NAMES
         ),
         csv=_csv(table, runs),
         figures=(
-            ReportFigure(
-                f"{name}-ends",
+            save(
+                figure(runs),
+                figures / f"{name}-ends",
                 "Where the points start and end; colour and size tell how many lie in a heap.",
-                save(figure(runs), figures / f"{name}-ends"),
             ),
         ),
         provenance=tuple(_source(run) for run in runs),
@@ -83,33 +74,23 @@ def findings(table: Sequence[PlanarRow]) -> list[str]:
     by_place = {(row.name, row.setting): row for row in table}
     start = by_place["start", "reference"]
     ideal = by_place["even_spread", "reference"]
-    sentences = []
-    dco, fourier = by_place.get(("dco", "paper")), by_place.get(("fourier", "paper"))
-    if dco and fourier:
-        sentences.append(
-            f"In the paper's setting DCO goes from {start.cd:.3f} to {dco.cd:.3f} (printed 0.352), "
-            f"{1 - dco.cd / start.cd:.0%} less: it has hardly begun. The shared basis ends at "
-            f"{fourier.cd:.3f} (printed 0.123)."
-        )
-    dco, fourier = by_place.get(("dco", "converged")), by_place.get(("fourier", "converged"))
-    if dco and fourier:
-        sentences.append(
-            f"Converged, DCO ends at {dco.cd:.3f} with {dco.coverage:.0%} covered, the shared "
-            f"basis at {fourier.cd:.3f} with {fourier.coverage:.0%}: "
-            f"{'DCO' if dco.cd < fourier.cd else 'the shared basis'} is closer. Points closer than "
-            f"0.005 to another: {dco.cluster_005:.0%} and {fourier.cluster_005:.0%}."
-        )
-    tuned = by_place.get(("dco_repulsion_tuned", "converged"))
-    if tuned:
-        sentences.append(
-            f"A local repulsion of fitting weight ends at {tuned.cd:.3f} with {tuned.coverage:.0%} "
-            f"covered and {tuned.cluster_005:.0%} closer than 0.005: local terms can undo collapse."
-        )
-    sentences.append(
+    dco, fourier = by_place["dco", "paper"], by_place["fourier", "paper"]
+    dco_rest, fourier_rest = by_place["dco", "converged"], by_place["fourier", "converged"]
+    tuned = by_place["dco_repulsion_tuned", "converged"]
+    return [
+        f"In the paper's setting DCO goes from {start.cd:.3f} to {dco.cd:.3f} (printed 0.352), "
+        f"{1 - dco.cd / start.cd:.0%} less: it has hardly begun. The shared basis ends at "
+        f"{fourier.cd:.3f} (printed 0.123).",
+        f"Converged, DCO ends at {dco_rest.cd:.3f} with {dco_rest.coverage:.0%} covered, the "
+        f"shared basis at {fourier_rest.cd:.3f} with {fourier_rest.coverage:.0%}: "
+        f"{'DCO' if dco_rest.cd < fourier_rest.cd else 'the shared basis'} is closer. Points "
+        f"closer than 0.005 to another: {dco_rest.cluster_005:.0%} and "
+        f"{fourier_rest.cluster_005:.0%}.",
+        f"A local repulsion of fitting weight ends at {tuned.cd:.3f} with {tuned.coverage:.0%} "
+        f"covered and {tuned.cluster_005:.0%} closer than 0.005: local terms can undo collapse.",
         f"The paper's cluster fraction of an even spread is {ideal.cluster_02:.0%}: it cannot tell "
-        "collapse from success."
-    )
-    return sentences
+        "collapse from success.",
+    ]
 
 
 def _label(row: PlanarRow) -> str:
@@ -120,23 +101,31 @@ def _label(row: PlanarRow) -> str:
 def _cells(row: PlanarRow) -> dict[str, Cell]:
     return {
         column: Cell(getattr(row.printed, column, None), None, getattr(row, column))
-        for column in COLUMNS
+        for column in NAMES
     }
 
 
 def _csv(table: Sequence[PlanarRow], runs: Sequence[PlanarRun]) -> str:
-    configs = {(r.experiment.name, r.experiment.setting): r.experiment.config for r in runs}
+    settings = {(r.experiment.name, r.experiment.setting): _settings(r) for r in runs}
     version = metadata.version(VERSION)
+    lines = (
+        (
+            _label(row),
+            column,
+            format_exact(cell.printed),
+            format_exact(cell.ours),
+            row.steps,
+            settings.get((row.name, row.setting), ""),
+            version,
+        )
+        for row in table
+        for column, cell in _cells(row).items()
+    )
+    return csv_text(("row", "metric", "printed", "ours", "steps", "config", "version"), lines)
 
-    def lines() -> Iterator[tuple[object, ...]]:
-        for row in table:
-            config = configs.get((row.name, row.setting))
-            settings = config.model_dump_json(exclude_defaults=True) if config else ""
-            for column, cell in _cells(row).items():
-                numbers = format_exact(cell.printed), format_exact(cell.ours)
-                yield (_label(row), column, *numbers, row.steps, settings, version)
 
-    return csv_text(("row", "metric", "printed", "ours", "steps", "config", "version"), lines())
+def _settings(run: PlanarRun) -> str:
+    return run.experiment.config.model_dump_json(exclude_defaults=True)
 
 
 def _source(run: PlanarRun) -> Provenance:
@@ -144,7 +133,7 @@ def _source(run: PlanarRun) -> Provenance:
     return Provenance(
         run=f"{run.experiment.name}, {run.experiment.setting}",
         digest="",
-        config=config.model_dump_json(exclude_defaults=True),
+        config=_settings(run),
         size=f"{config.point_count} → {config.target_count}, {config.steps} steps",
         cost="",
         version=metadata.version(VERSION),

@@ -7,22 +7,13 @@ from importlib import metadata
 from pathlib import Path
 
 from chamfer_morph.reproduction.propositions import Check, Quantity, all_checks, figure
-from chamfer_morph.reproduction.report.figures import ReportFigure, save
+from chamfer_morph.reproduction.report.figures import save
 from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Section
 from chamfer_morph.reproduction.report.tables import VERSION, csv_text, format_exact
 
-HOLDS, FAILS = "holds", "fails"
-LIMIT, NO_LIMIT = "does not apply", "applies nevertheless"
-
 
 def propositions_section(name: str, title: str, origin: str, figures: Path) -> Section:
-    """Put the propositions to the test and lay out what was measured.
-
-    Args:
-        name: Of the section.
-        title: Its heading.
-        origin: Where it stands in the paper.
-        figures: Folder of the figures.
+    """Put the propositions to the test and lay it out, the figure drawn into a folder.
 
     Raises:
         OSError: The folder cannot be written.
@@ -43,10 +34,10 @@ def propositions_section(name: str, title: str, origin: str, figures: Path) -> S
         ),
         csv=_csv(checks),
         figures=(
-            ReportFigure(
-                f"{name}-limits",
+            save(
+                figure(),
+                figures / f"{name}-limits",
                 "The statements and their limits on small scenes.",
-                save(figure(), figures / f"{name}-limits"),
             ),
         ),
     )
@@ -69,50 +60,42 @@ def findings(checks: Sequence[Check]) -> list[str]:
 def _rows(checks: Sequence[Check]) -> Iterator[tuple[str, str, tuple[DisplayCell, ...]]]:
     for check in checks:
         for quantity in check.quantities:
-            word = HOLDS if quantity.holds else FAILS
-            yield f"{check.name}: {quantity.name}", "", _entries(quantity, word)
+            verdict = "holds" if quantity.holds else "fails"
+            yield f"{check.name}: {quantity.name}", "", _entries(quantity, verdict)
         for limit in check.limits:
-            word = LIMIT if limit.is_counterexample else NO_LIMIT
-            yield (
-                f"Beyond {check.name}: {limit.case}",
-                limit.prediction.name,
-                _entries(limit.prediction, word),
-            )
+            verdict = "does not apply" if limit.is_counterexample else "applies nevertheless"
+            cells = _entries(limit.prediction, verdict)
+            yield f"Beyond {check.name}: {limit.case}", limit.prediction.name, cells
 
 
-def _entries(quantity: Quantity, word: str) -> tuple[DisplayCell, ...]:
-    relation = "" if quantity.relation == "=" else {"<=": "≤ ", ">=": "≥ "}[quantity.relation]
-    return (
-        DisplayCell(f"{quantity.measured:.4g}"),
-        DisplayCell(f"{relation}{quantity.expected:.4g}"),
-        DisplayCell(word),
-    )
+def _entries(quantity: Quantity, verdict: str) -> tuple[DisplayCell, ...]:
+    relation = {"=": "", "<=": "≤ ", ">=": "≥ "}[quantity.relation]
+    texts = f"{quantity.measured:.4g}", f"{relation}{quantity.expected:.4g}", verdict
+    return tuple(map(DisplayCell, texts))
 
 
 def _csv(checks: Sequence[Check]) -> str:
-    version = metadata.version(VERSION)
     columns = (
         "proposition", "covered", "quantity", "measured", "relation", "expected", "tolerance",
         "holds", "version",
     )  # fmt: skip
-    return csv_text(
-        columns,
+    version = metadata.version(VERSION)
+    lines = (
         (
-            (
-                check.name,
-                covered,
-                name,
-                format_exact(quantity.measured),
-                quantity.relation,
-                format_exact(quantity.expected),
-                format_exact(quantity.tolerance),
-                "yes" if quantity.holds else "no",
-                version,
-            )
-            for check in checks
-            for covered, name, quantity in (
-                *(("yes", each.name, each) for each in check.quantities),
-                *(("no", f"{it.case} {it.prediction.name}", it.prediction) for it in check.limits),
-            )
-        ),
+            check.name,
+            covered,
+            name,
+            format_exact(quantity.measured),
+            quantity.relation,
+            format_exact(quantity.expected),
+            format_exact(quantity.tolerance),
+            "yes" if quantity.holds else "no",
+            version,
+        )
+        for check in checks
+        for covered, name, quantity in (
+            *(("yes", each.name, each) for each in check.quantities),
+            *(("no", f"{it.case} {it.prediction.name}", it.prediction) for it in check.limits),
+        )
     )
+    return csv_text(columns, lines)

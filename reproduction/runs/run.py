@@ -10,25 +10,15 @@ from pydantic import BaseModel, Field
 
 from chamfer_morph.reproduction.meshes import MeshFolder, particle_count
 from morph_engine.config import MorphConfig
+from morph_engine.cost import estimate
 from morph_engine.presets import configure
 
 CONTROLLED_METHODS = ("physics", "joint")
 """Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`
 needs none, and for methods that move points alone every preset has the same settings."""
 
-CPU_SECONDS_AT_START = 10.0
-CPU_SECONDS_PER_PARTICLE_FRAME = {
-    "joint": 120e-6,
-    "physics": 73e-6,
-    "regularised": 30e-6,
-    "shared_basis": 25e-6,
-    "transport": 9e-6,
-    "swd": 165e-6,
-    "sinkhorn": 230e-6,
-}
-CPU_SECONDS_PER_POINT_FRAME = 15e-6
-QUICK_SHARE = 0.4
-"""Cost of the preset `fast` in parts of the preset `published`."""
+PUBLISHED_COST = 2.5
+"""Cost of the preset `published` in parts of that which their options state, for `fast`."""
 
 
 class Run(BaseModel, frozen=True, extra="forbid"):
@@ -93,14 +83,13 @@ class Run(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def expected_cpu_seconds(self) -> float:
-        """What the run costs about [CPU s], by a model linear in particles and frames."""
-        particles = particle_count(self.source) * self.points_per_cell_edge**3 / 27
-        is_regularised = any(path.startswith("regularizers.") for path in self.overrides)
-        rate = CPU_SECONDS_PER_PARTICLE_FRAME.get(
-            "regularised" if is_regularised else self.method, CPU_SECONDS_PER_POINT_FRAME
+        """What the run costs about [CPU s], by the rates of its method."""
+        source, target = (
+            particle_count(name) * self.points_per_cell_edge**3 // 27 for name in self.shapes
         )
-        share = QUICK_SHARE if self.preset == "fast" and self.method in CONTROLLED_METHODS else 1.0
-        return CPU_SECONDS_AT_START + share * rate * particles * self.frames
+        seconds = estimate(source, target, self.frames, method=self.method, threads=1).seconds
+        is_slow = self.method in CONTROLLED_METHODS and self.preset == "published"
+        return PUBLISHED_COST * seconds if is_slow else seconds
 
 
 def digest(inputs: Any) -> str:

@@ -6,7 +6,6 @@ another configuration or of a failed run counts as absent.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -34,8 +33,6 @@ EXTREMES: dict[str, Callable[[Iterable[float]], float]] = {
     "least_gap": min, "det_f_min": min, "det_f_max": max, "max_move": max,
 }  # fmt: skip
 """Metrics whose worst value over all frames is kept, too, with `_ever` after their name."""
-
-CURVE_DIGITS = 6
 
 
 def _stored_config(document: Any) -> MorphConfig | None:
@@ -187,13 +184,9 @@ def record_from_result(run: Run, digest: str, result: Trajectory, *, cpu_seconds
         frames=result.frame_count,
         metrics=result.metrics_at(-1) | _worst(result) | _surface(result),
         curves={
-            name: [_short(value) for value in result.metrics[name]]
+            name: [float(f"{value:.6g}") for value in result.metrics[name]]
             for name in CURVES
             if name in result.metrics and not np.isnan(result.metrics[name]).all()
         },
         cpu_seconds=round(cpu_seconds, 2),
     )
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.{CURVE_DIGITS}g}") if math.isfinite(value) else float(value)
