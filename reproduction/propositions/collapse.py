@@ -6,16 +6,19 @@ The forward gradient of a point whose nearest target is q* is 2 / N (p - q*), it
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
-from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS, cluster
+from chamfer_morph.reproduction.propositions.scene import CENTER, FORWARD, TARGETS, cluster
 
 Points = npt.NDArray[np.float64]
+Coupling = Callable[[Points, Points], Points]
+"""Velocity, shape [n, 2], from positions and the descent direction of each point."""
 
-FORWARD = ChamferLoss(reverse=0.0)
 RATE = 0.05
 """2 eta / N of the runs: the share of the way that one step covers."""
 
@@ -30,6 +33,7 @@ def proposition_1() -> Check:
     curvature = count / 2 * _hessian(points)
     way = descend(points, STEPS)
     distance = np.linalg.norm(way - CENTER, axis=-1)
+    contraction = distance[1:] / distance[:-1]
     return Check(
         name="Proposition 1",
         statement=(
@@ -51,15 +55,12 @@ def proposition_1() -> Check:
             ),
             Quantity(
                 "contraction per step, smallest over points and steps",
-                float((distance[1:] / distance[:-1]).min()),
+                float(contraction.min()),
                 1 - RATE,
                 tolerance=1e-9,
             ),
             Quantity(
-                "contraction per step, largest",
-                float((distance[1:] / distance[:-1]).max()),
-                1 - RATE,
-                tolerance=1e-9,
+                "contraction per step, largest", float(contraction.max()), 1 - RATE, tolerance=1e-9
             ),
             Quantity(
                 f"diameter after {STEPS} steps, as a share of the first",
@@ -83,20 +84,27 @@ def proposition_1() -> Check:
     )
 
 
-def descend(points: Points, steps: int, loss: ChamferLoss = FORWARD) -> Points:
+def descend(
+    points: Points,
+    steps: int,
+    loss: ChamferLoss = FORWARD,
+    coupling: Coupling = lambda points, direction: direction,
+) -> Points:
     """Plain descent with 2 eta / N = `RATE`: the positions before and after each step.
 
     Args:
         points: Shape [n, 2], float64.
         steps: How many.
         loss: Of which term.
+        coupling: Velocity from the positions and the descent direction of each point.
 
     Returns:
         Shape [steps + 1, n, 2].
     """
     way = [points]
     for _ in range(steps):
-        way.append(way[-1] - RATE * len(points) / 2 * loss(way[-1], TARGETS)[1])
+        direction = -loss(way[-1], TARGETS)[1]
+        way.append(way[-1] + RATE * len(points) / 2 * coupling(way[-1], direction))
     return np.stack(way)
 
 

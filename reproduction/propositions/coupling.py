@@ -10,25 +10,24 @@ can be compared with that of independent points:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
-from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
-from chamfer_morph.reproduction.planar.config import PlanarConfig, converged_setting
+from chamfer_morph.reproduction.planar.config import Strategy, converged_setting
 from chamfer_morph.reproduction.planar.experiment import Experiment, run
 from chamfer_morph.reproduction.planar.metrics import PlanarMetrics
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.collapse import RATE, Coupling, descend
 from chamfer_morph.reproduction.propositions.drift import drift, penalty_force
-from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere, spread
+from chamfer_morph.reproduction.propositions.scene import (
+    FORWARD,
+    TARGETS,
+    cluster,
+    elsewhere,
+    spread,
+)
 
 Points = npt.NDArray[np.float64]
-Coupling = Callable[[Points, Points], Points]
-"""Velocity, shape [n, 2], from positions and the descent direction of each point."""
-
-FORWARD = ChamferLoss(reverse=0.0)
-RATE = 0.05
 STEPS = 100
 CELL = 0.75
 """Node spacing of the grid; the cluster's diameter is .4."""
@@ -37,9 +36,9 @@ CELL = 0.75
 def corollary_1() -> Check:
     """Measure drift, far influence and collapse with and without coupling."""
     members = cluster()
-    local = [penalty_force(name, members, 1.0) for name in ("repulsion", "smoothness")]
     free = _spread_left(independent)
-    bare, local_end, shared_end = _planar_ends()
+    bare, shared = _planar_end("per_point"), _planar_end("fourier")
+    local = _planar_end("repulsion", repulsion_weight=1e-6)
     return Check(
         name="Corollary 1",
         statement=(
@@ -50,11 +49,11 @@ def corollary_1() -> Check:
             *(
                 Quantity(
                     f"drift ratio with a local penalty ({name})",
-                    drift(members, force),
+                    drift(members, penalty_force(name, members, 1.0)),
                     1.0,
                     tolerance=1e-9,
                 )
-                for name, force in zip(("repulsion", "smoothness"), local, strict=True)
+                for name in ("repulsion", "smoothness")
             ),
             Quantity("drift ratio with a shared basis", coupled_drift(basis), 0.9, "<="),
             Quantity("drift ratio with a grid", coupled_drift(grid), 0.9, "<="),
@@ -82,7 +81,7 @@ def corollary_1() -> Check:
                 "targets, at rest, local repulsion of weight 1e-6.",
                 Quantity(
                     "points within .02 of another, with repulsion over without",
-                    local_end.cluster_02 / bare.cluster_02,
+                    local.cluster_02 / bare.cluster_02,
                     1.0,
                     tolerance=0.1,
                 ),
@@ -92,7 +91,7 @@ def corollary_1() -> Check:
                 "points are nearer to the star than those with a shared basis.",
                 Quantity(
                     "Chamfer distance with local repulsion over that with 25 shared coefficients",
-                    local_end.cd / shared_end.cd,
+                    local.cd / shared.cd,
                     1.0,
                     ">=",
                 ),
@@ -133,17 +132,13 @@ def coupled_drift(coupling: Coupling) -> float:
     return drift(points, coupling(points, direction) - direction, members=members)
 
 
-def descend(coupling: Coupling, steps: int = STEPS) -> Points:
-    """Positions of the cluster before and after each step, shape [steps + 1, members, 2].
+def coupled_descent(coupling: Coupling) -> Points:
+    """Positions of the cluster before and after each step, shape [`STEPS` + 1, members, 2].
 
-    The step is 2 eta / N = `RATE`, and couplings follow the points as these move.
+    Couplings follow the points as these move.
     """
     points, members = _scene()
-    way = [points]
-    for _ in range(steps):
-        direction = -FORWARD(way[-1], TARGETS)[1]
-        way.append(way[-1] + RATE * len(points) / 2 * coupling(way[-1], direction))
-    return np.stack(way)[:, :members]
+    return descend(points, STEPS, coupling=coupling)[:, :members]
 
 
 def _scene() -> tuple[Points, int]:
@@ -170,21 +165,12 @@ def _far_influence(coupling: Coupling) -> float:
 
 
 def _spread_left(coupling: Coupling) -> float:
-    way = descend(coupling)
+    way = coupled_descent(coupling)
     return spread(way[-1]) / spread(way[0])
 
 
-def _planar_ends() -> tuple[PlanarMetrics, PlanarMetrics, PlanarMetrics]:
-    """Circle to star at rest: independent points, local repulsion, shared coefficients."""
-    settings = (
-        converged_setting("per_point", steps=1500),
-        converged_setting("repulsion", steps=1500, repulsion_weight=1e-6),
-        converged_setting("fourier", steps=1500),
-    )
-    bare, local, shared = (_planar_end(each) for each in settings)
-    return bare, local, shared
-
-
-def _planar_end(config: PlanarConfig) -> PlanarMetrics:
+def _planar_end(strategy: Strategy, repulsion_weight: float = 0.0) -> PlanarMetrics:
+    """Circle to star at rest."""
+    config = converged_setting(strategy, steps=1500, repulsion_weight=repulsion_weight)
     small = config.model_copy(update={"point_count": 200, "target_count": 100})
-    return run(Experiment(small.strategy, "converged", small), snapshots=2).metrics
+    return run(Experiment(strategy, "converged", small), snapshots=2).metrics

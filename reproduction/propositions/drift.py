@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
 from chamfer_morph.reproduction.planar.config import PlanarConfig
 from chamfer_morph.reproduction.planar.optimizer import Optimizer
 from chamfer_morph.reproduction.planar.repulsion import repulsion
@@ -19,11 +18,16 @@ from chamfer_morph.reproduction.propositions.penalties import (
     neighbor_lists,
     repulsion_penalty,
 )
-from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS, cluster, elsewhere
+from chamfer_morph.reproduction.propositions.scene import (
+    CENTER,
+    FORWARD,
+    TARGETS,
+    cluster,
+    elsewhere,
+)
 
 Points = npt.NDArray[np.float64]
 
-FORWARD = ChamferLoss(reverse=0.0)
 NEIGHBORS = 4
 WEIGHTS = (1e-3, 1.0, 1e3)
 LIMIT_WEIGHT = 1e-3
@@ -49,46 +53,33 @@ def proposition_3() -> Check:
             for name in PENALTIES
             for weight in WEIGHTS
         ),
-        limits=(
-            Limit(
-                "Neighbour lists that cross the cluster's boundary push it as a whole.",
-                Quantity(
+        limits=tuple(
+            Limit(case, Quantity(name, measured, 1.0, tolerance=1e-3))
+            for case, name, measured in (
+                (
+                    "Neighbour lists that cross the cluster's boundary push it as a whole.",
                     "drift ratio, repulsion between all points, weight 0.001",
                     crossing_drift(LIMIT_WEIGHT),
-                    1.0,
-                    tolerance=1e-3,
                 ),
-            ),
-            Limit(
-                "A force on each point from its k nearest, without the reaction on them, as in the "
-                "paper's 2D experiment, is no penalty's gradient and does not sum to zero.",
-                Quantity(
+                (
+                    "A force on each point from its k nearest, without the reaction on them, as in "
+                    "the paper's 2D experiment, is no penalty's gradient and does not sum to zero.",
                     "drift ratio, one-sided repulsion, weight 0.001",
                     one_sided_drift(LIMIT_WEIGHT),
-                    1.0,
-                    tolerance=1e-3,
                 ),
-            ),
-            Limit(
-                "Adam scales each component by its own history, so that forces that cancel no "
-                "longer do: the weight changes the drift.",
-                Quantity(
+                (
+                    "Adam scales each component by its own history, so that forces that cancel no "
+                    "longer do: the weight changes the drift.",
                     "centroid's way in 20 steps of Adam, weight 0.001 over weight 0",
                     adam_displacement(LIMIT_WEIGHT) / adam_displacement(0.0),
-                    1.0,
-                    tolerance=1e-3,
                 ),
-            ),
-            Limit(
-                "Weights per point, as in density-aware losses, are no added penalty: the centroid "
-                "follows the points that weigh more.",
-                Quantity(
+                (
+                    "Weights per point, as in density-aware losses, are no added penalty: the "
+                    "centroid follows the points that weigh more.",
                     "drift ratio, forward term weighted by 1/(distance to 4 nearest)",
                     _weighted_drift(points),
-                    1.0,
-                    tolerance=1e-3,
                 ),
-            ),
+            )
         ),
     )
 

@@ -11,10 +11,13 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from scipy.spatial import Voronoi
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
-from chamfer_morph.reproduction.propositions.collapse import RATE, STEPS
-from chamfer_morph.reproduction.propositions.collapse import descend as collapse
-from chamfer_morph.reproduction.propositions.coupling import basis, grid, independent
-from chamfer_morph.reproduction.propositions.coupling import descend as coupled
+from chamfer_morph.reproduction.propositions.collapse import RATE, STEPS, descend
+from chamfer_morph.reproduction.propositions.coupling import (
+    basis,
+    coupled_descent,
+    grid,
+    independent,
+)
 from chamfer_morph.reproduction.propositions.drift import (
     adam_displacement,
     crossing_drift,
@@ -53,19 +56,17 @@ def figure() -> Figure:
 
 def _collapse_scene(panel: Axes) -> None:
     _cells(panel, "Proposition 1\none cell, one attractor")
-    way = np.moveaxis(collapse(cluster(), STEPS), 0, 1)
+    way = np.moveaxis(descend(cluster(), STEPS), 0, 1)
     panel.add_collection(LineCollection(list(way), colors=BLUE, linewidths=1.0, alpha=0.7))
     panel.plot(*cluster().T, "o", markersize=4, color=BLUE, zorder=3)
     panel.set(xlim=(-0.62, 0.62), ylim=(-0.56, 0.56))
 
 
 def _collapse_rate(panel: Axes) -> None:
-    way = collapse(cluster(), STEPS)
-    distance = np.linalg.norm(way - CENTER, axis=-1)
+    distance = np.linalg.norm(descend(cluster(), STEPS) - CENTER, axis=-1)
     panel.semilogy(distance, color=BLUE, linewidth=0.9, alpha=0.7)
-    step = np.arange(STEPS + 1)
-    law = 3 * distance.max() * (1 - RATE) ** step
-    panel.semilogy(step, law, color=INK, linewidth=1.2, linestyle=(0, (4, 3)))
+    law = 3 * distance.max() * (1 - RATE) ** np.arange(STEPS + 1)
+    panel.semilogy(law, color=INK, linewidth=1.2, linestyle=(0, (4, 3)))
     panel.annotate("(1 − 2η/N)ᵗ", (100, law[100]), (8, 4), textcoords="offset points", color=INK)
     panel.set(xlabel="step", ylabel="distance of each point to q*", xlim=(0, STEPS))
 
@@ -149,7 +150,7 @@ def _drift_ratio(panel: Axes) -> None:
 def _coupling_scene(panel: Axes) -> None:
     _cells(panel, "Corollary 1\nshared fields carry a cluster whole")
     for coupling, color in ((basis, ORANGE), (independent, BLUE)):
-        way = np.moveaxis(coupled(coupling), 0, 1)
+        way = np.moveaxis(coupled_descent(coupling), 0, 1)
         panel.add_collection(LineCollection(list(way), colors=color, linewidths=1.2, alpha=0.8))
         panel.plot(*way[:, -1].T, "o", markersize=4, color=color, zorder=4)
     panel.plot(*cluster().T, "o", markersize=4, color=FAINT, markerfacecolor="white", zorder=3)
@@ -163,10 +164,9 @@ def _coupling_spread(panel: Axes) -> None:
         (basis, ORANGE, "shared basis"),
         (independent, BLUE, "independent points"),
     ):
-        way = coupled(coupling)
-        panel.semilogy(
-            [spread(each) / spread(way[0]) for each in way], color=color, linewidth=1.6, label=label
-        )
+        way = coupled_descent(coupling)
+        share = [spread(each) / spread(way[0]) for each in way]
+        panel.semilogy(share, color=color, linewidth=1.6, label=label)
     panel.set(xlabel="step", ylabel="spread of the cluster / its first", ylim=(4e-3, 1.6))
     panel.legend(frameon=False, fontsize=9, loc="lower left", labelcolor="linecolor")
 

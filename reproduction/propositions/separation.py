@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
+from chamfer_morph.reproduction.planar.shapes import directions
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.collapse import STEPS, descend
 from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS
@@ -48,38 +49,30 @@ def proposition_2() -> Check:
                 0.0,
             ),
         ),
-        limits=(
-            Limit(
-                "The statement is about an instant. When the one point has moved off, targets on "
-                "the other side have their nearest source point among those left behind, and "
-                "pull a second one.",
-                Quantity(
+        limits=tuple(
+            Limit(case, Quantity(name, float(count), 1.0, "<="))
+            for case, name, count in (
+                (
+                    "The statement is about an instant. When the one point has moved off, targets "
+                    "on the other side have their nearest source point among those left behind, "
+                    "and pull a second one.",
                     f"points that have moved after {STEPS} steps of both terms",
-                    float((abs(rest - CENTER).max(axis=1) > 0.01).sum()),
-                    1.0,
-                    "<=",
+                    (abs(rest - CENTER).max(axis=1) > 0.01).sum(),
                 ),
-            ),
-            Limit(
-                "Points that do not coincide to the last bit have cells of their own, however "
-                "close they are, and each that is nearest to some target has a reverse gradient.",
-                Quantity(
+                (
+                    "Points that do not coincide to the last bit have cells of their own, however "
+                    "close they are, and each that is nearest to some target has a reverse "
+                    "gradient.",
                     "points with a reverse gradient, 1e-9 apart",
-                    float(moving(apart(1e-9)).sum()),
-                    1.0,
-                    "<=",
+                    moving(apart(1e-9)).sum(),
                 ),
-            ),
-            Limit(
-                "Descent then takes them apart, so that collapse is no deadlock for points that "
-                "come near a target without reaching it, as descent lets them.",
-                Quantity(
+                (
+                    "Descent then takes them apart, so that collapse is no deadlock for points "
+                    "that come near a target without reaching it, as descent lets them.",
                     f"targets used after {STEPS} steps of both terms, from 1e-9 apart",
-                    float(targets_used(descend(apart(1e-9), STEPS, ChamferLoss())[-1])),
-                    1.0,
-                    "<=",
+                    targets_used(descend(apart(1e-9), STEPS, ChamferLoss())[-1]),
                 ),
-            ),
+            )
         ),
     )
 
@@ -87,9 +80,8 @@ def proposition_2() -> Check:
 def apart(distance: float) -> Points:
     """k points around q*, this far from it or up to a tenth farther, shape [k, 2]."""
     turn = np.arange(COUNT) / COUNT
-    angle = 2 * np.pi * turn
     away = distance * (1 + 0.1 * turn[:, None])  # no two equally far, which would be ties
-    points: Points = CENTER + away * np.column_stack([np.cos(angle), np.sin(angle)])
+    points: Points = CENTER + away * directions(2 * np.pi * turn)
     return points
 
 

@@ -100,7 +100,7 @@ def _label(row: PlanarRow) -> str:
 
 def _cells(row: PlanarRow) -> dict[str, Cell]:
     return {
-        column: Cell(getattr(row.printed, column, None), None, getattr(row, column))
+        column: Cell(getattr(row.printed, column, None), ours=getattr(row, column))
         for column in NAMES
     }
 

@@ -140,18 +140,16 @@ def _kinds(cells: Sequence[Cell]) -> Iterator[str]:
 
 
 def _display_cell(cell: Cell, kind: str) -> DisplayCell:
-    match kind:
-        case "printed":
-            return DisplayCell(format_number(cell.printed))
-        case "program":
-            return DisplayCell(format_number(cell.program))
-        case "difference":
-            return DisplayCell(format_difference(cell.minus_printed))
-        case _:
-            text = "failed" if cell.is_failed else format_number(cell.ours)
-            if cell.deviation is not None:
-                text += f" ± {cell.deviation:.3f}"
-            return DisplayCell(text, cell.is_best)
+    if kind == "printed":
+        return DisplayCell(format_number(cell.printed))
+    if kind == "program":
+        return DisplayCell(format_number(cell.program))
+    if kind == "difference":
+        return DisplayCell(format_difference(cell.minus_printed))
+    text = "failed" if cell.is_failed else format_number(cell.ours)
+    if cell.deviation is not None:
+        text += f" ± {cell.deviation:.3f}"
+    return DisplayCell(text, cell.is_best)
 
 
 def _sources(records: Iterable[Record]) -> tuple[Provenance, ...]:

@@ -61,9 +61,9 @@ class Cell:
         is_failed: Whether ours is missing because a run failed.
     """
 
-    printed: float | None
-    program: float | None
-    ours: float | None
+    printed: float | None = None
+    program: float | None = None
+    ours: float | None = None
     deviation: float | None = None
     is_best: bool = False
     is_failed: bool = False
@@ -110,8 +110,7 @@ class Table:
     def cell(self, label: str, metric: str) -> Cell:
         """A number by row and metric; an empty cell if there is none."""
         line = self._by_label.get(label)
-        empty = Cell(None, None, None)
-        return line.cells.get(metric, empty) if line else empty
+        return line.cells.get(metric, Cell()) if line else Cell()
 
     def ours(self, label: str, metric: str) -> float | None:
         """Our number by row and metric; None if there is none."""
@@ -155,14 +154,12 @@ class Table:
 
     def csv(self) -> str:
         """A line a number, with where it comes from."""
-        return csv_text(
-            COLUMNS,
-            (
-                _csv_row(line, metric, cell)
-                for line in self.lines
-                for metric, cell in line.cells.items()
-            ),
+        lines = (
+            _csv_row(line, metric, cell)
+            for line in self.lines
+            for metric, cell in line.cells.items()
         )
+        return csv_text(COLUMNS, lines)
 
     @property
     def display_rows(self) -> list[tuple[str, str, Mapping[str, Cell]]]:
@@ -182,12 +179,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
-    """Fill the table of an experiment.
-
-    Args:
-        experiment: What is wanted.
-        records: What there is, by run id.
-    """
+    """Fill the table of an experiment with what there is, by run id."""
     lines = [_line(experiment, row, records) for row in experiment.rows]
     for metric in experiment.metrics:
         for group in {row.group for row in experiment.rows}:
@@ -216,18 +208,15 @@ def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> Ta
 
 def _mark_best(lines: list[TableRow], metric: str, group: str) -> None:
     """Mark the best number of a group, where at least two compete."""
-    competing = {
-        index: value
+    distances = {
+        index: distance_from_ideal(metric, value)
         for index, line in enumerate(lines)
         if line.row.group == group
         and (value := line.cells[metric].ours) is not None
         and math.isfinite(value)
     }
-    if len(competing) < 2:
-        return
-    best = min(distance_from_ideal(metric, value) for value in competing.values())
-    for index, value in competing.items():
-        if distance_from_ideal(metric, value) == best:
+    for index, distance in distances.items():
+        if len(distances) > 1 and distance == min(distances.values()):
             line = lines[index]
             cell = replace(line.cells[metric], is_best=True)
             lines[index] = replace(line, cells={**line.cells, metric: cell})
@@ -243,14 +232,12 @@ def distance_from_ideal(metric: str, value: float) -> float:
 
 
 def _csv_row(line: TableRow, metric: str, cell: Cell) -> list[object]:
-    numbers = (cell.printed, cell.program, cell.ours, cell.deviation)
-    differences = (cell.minus_printed, cell.minus_program)
     return [
         line.row.label,
         metric,
-        *map(format_exact, numbers),
+        *map(format_exact, (cell.printed, cell.program, cell.ours, cell.deviation)),
         len(line.row.runs),
-        *map(format_exact, differences),
+        *map(format_exact, (cell.minus_printed, cell.minus_program)),
         "yes" if cell.is_best else "",
         " ".join(run.id for run in line.row.runs),
         " ".join(record.digest for record in line.records),
