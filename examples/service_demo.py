@@ -26,16 +26,8 @@ from chamfer_morph.client import MorphClient
 @contextmanager
 def serving(data_dir: Path) -> Iterator[str]:
     """A service on this machine; yields its address."""
-    command = [
-        sys.executable,
-        "-m",
-        "chamfer_morph",
-        "serve",
-        "--port",
-        "0",
-        "--data-dir",
-        str(data_dir),
-    ]
+    serve = [sys.executable, "-m", "chamfer_morph", "serve"]
+    command = [*serve, "--port", "0", "--data-dir", str(data_dir)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:

@@ -46,10 +46,6 @@ class StandaloneExperiment:
         """
         return self.make_section(self.name, self.title, self.origin, figures)
 
-    def quick(self) -> StandaloneExperiment:
-        """The same: it takes no more than a minute."""
-        return self
-
 
 AnyExperiment = Experiment | StandaloneExperiment
 
@@ -84,7 +80,9 @@ def select(names: Sequence[str], *, quick: bool = False) -> tuple[AnyExperiment,
         for name, experiment in EXPERIMENTS.items()
         if name in names or (ALL in names and experiment.in_all)
     ]
-    return tuple(experiment.quick() if quick else experiment for experiment in selected)
+    return tuple(
+        each.quick() if quick and isinstance(each, Experiment) else each for each in selected
+    )
 
 
 def runs_of(experiments: Iterable[AnyExperiment]) -> tuple[Run, ...]:

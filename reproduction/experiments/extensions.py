@@ -14,6 +14,7 @@ from chamfer_morph.reproduction.experiments.paper_tables import (
 )
 
 _extension = partial(Experiment, in_all=False)
+
 PAIRS = (*PAIR_NAMES, *(("Sphere", target) for target in ("Dragon", "Heart", "C", "E", "V")))
 """The paper's 20 pairs, and its sphere to the other shapes."""
 
@@ -56,27 +57,21 @@ TRANSPORT = _extension(
     remarks=("3 points per cell edge; joint with the published settings, transport with its own.",),
 )
 
+_HALF_SPACING = {"edge": 2, "variant": "dx05", "overrides": {"grid.dx": 0.5}}
+_FINER: tuple[tuple[tuple[tuple[str, str], ...], str, str, Any], ...] = (
+    (PAIRS, "4 per edge", "4 per edge", {"edge": 4}),
+    (SELECTED_PAIRS, "5 per edge", "5 per edge", {"edge": 5}),
+    (SELECTED_PAIRS, "2 per edge of half the length", "half the grid spacing", _HALF_SPACING),
+)
+
 FINER = _extension(
     name="finer",
     title="Transport at higher resolution",
     metrics=(*FILL_METRICS, "escaped", "outside_max"),
-    rows=(
-        *(
-            Row(f"{_name(pair)}, 4 per edge", (transport(*pair, edge=4),), "4 per edge")
-            for pair in PAIRS
-        ),
-        *(
-            Row(f"{_name(pair)}, 5 per edge", (transport(*pair, edge=5),), "5 per edge")
-            for pair in SELECTED_PAIRS
-        ),
-        *(
-            Row(
-                f"{_name(pair)}, 2 per edge of half the length",
-                (transport(*pair, edge=2, variant="dx05", overrides={"grid.dx": 0.5}),),
-                "half the grid spacing",
-            )
-            for pair in SELECTED_PAIRS
-        ),
+    rows=tuple(
+        Row(f"{_name(pair)}, {label}", (transport(*pair, **options),), group)
+        for pairs, label, group, options in _FINER
+        for pair in pairs
     ),
     remarks=("Default settings throughout; distances at different h have different floors.",),
 )

@@ -94,19 +94,15 @@ def paper_setting(strategy: Strategy, *, clip: bool = True) -> PlanarConfig:
     )
 
 
-def vector_repulsion_setting() -> PlanarConfig:
-    """Repulsion in the form of the paper's remark on proposition 3 with alpha = 0.
-
-    There the force of a neighbour is (p_i - p_j) / d^2, of length 1 / d; it is summed over the
-    neighbours and added to the clipped gradient. This comes nearer to the paper's row than a
-    force of length 1 / d^2.
-    """
-    return PlanarConfig(
-        strategy="repulsion",
-        repulsion_power=1.0,
-        repulsion_average="none",
-        clip_order="before_repulsion",
-    )
+VECTOR_REPULSION = PlanarConfig(
+    strategy="repulsion",
+    repulsion_power=1.0,
+    repulsion_average="none",
+    clip_order="before_repulsion",
+)
+"""Repulsion in the form of the paper's remark on proposition 3 with alpha = 0: the force of a
+neighbour is (p_i - p_j) / d^2, of length 1 / d, summed over the neighbours and added to the clipped
+gradient. This comes nearer to the paper's row than a force of length 1 / d^2."""
 
 
 def converged_setting(

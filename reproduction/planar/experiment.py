@@ -12,10 +12,10 @@ import numpy.typing as npt
 from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
 from chamfer_morph.reproduction.planar.config import (
     TUNED_REPULSION,
+    VECTOR_REPULSION,
     PlanarConfig,
     converged_setting,
     paper_setting,
-    vector_repulsion_setting,
 )
 from chamfer_morph.reproduction.planar.fourier import FourierOutline
 from chamfer_morph.reproduction.planar.metrics import PlanarMetrics, measure
@@ -82,23 +82,15 @@ class PlanarRun:
 
     Attributes:
         experiment: What was run.
-        target: The star, shape [m, 2], float64.
         steps: Steps after which a snapshot was taken, ascending from 0 to the last, shape [s].
         trajectory: Positions at these, shape [s, n, 2], float64.
         metrics: Numbers of the last positions.
     """
 
     experiment: Experiment
-    target: Points
     steps: npt.NDArray[np.int64]
     trajectory: Points
     metrics: PlanarMetrics
-
-    @property
-    def points(self) -> Points:
-        """The last positions, shape [n, 2]."""
-        last: Points = self.trajectory[-1]
-        return last
 
 
 def run(experiment: Experiment, *, snapshots: int = 31) -> PlanarRun:
@@ -115,14 +107,11 @@ def run(experiment: Experiment, *, snapshots: int = 31) -> PlanarRun:
     trajectory = [points_of(variables)]
     optimizer = Optimizer(config)
     for step in range(1, config.steps + 1):
-        variables = variables - optimizer(
-            pull_back(_gradient(config, points_of(variables), target))
-        )
+        gradient = _gradient(config, points_of(variables), target)
+        variables = variables - optimizer(pull_back(gradient))
         if step in kept:
             trajectory.append(points_of(variables))
-    return PlanarRun(
-        experiment, target, kept, np.stack(trajectory), measure(trajectory[-1], target)
-    )
+    return PlanarRun(experiment, kept, np.stack(trajectory), measure(trajectory[-1], target))
 
 
 def experiments(*, converged_steps: int = 5000) -> tuple[Experiment, ...]:
@@ -135,7 +124,7 @@ def experiments(*, converged_steps: int = 5000) -> tuple[Experiment, ...]:
     return (
         Experiment("dco", "paper", paper_setting("per_point")),
         Experiment("dco_repulsion", "paper", paper_setting("repulsion")),
-        Experiment("dco_repulsion_vector", "paper", vector_repulsion_setting()),
+        Experiment("dco_repulsion_vector", "paper", VECTOR_REPULSION),
         Experiment("fourier", "paper", paper_setting("fourier", clip=False)),
         Experiment("fourier_clipped", "paper", paper_setting("fourier")),
         Experiment("dco", "converged", converged_setting("per_point", steps=converged_steps)),

@@ -22,20 +22,21 @@ INK, FAINT = "#222222", "#6b727c"
 COLORS = LinearSegmentedColormap.from_list("heaps", ("#2f78a8", "#7a4ea6", "#d12f6b", "#f26a1b"))
 HEAP = LogNorm(1, 30)
 
-_PANELS: tuple[tuple[tuple[str, Setting, str], ...], ...] = (
-    (
-        ("dco", "paper", "each point for itself"),
-        ("dco_repulsion", "paper", "repulsion, weight 2e-4"),
-        ("fourier_clipped", "paper", "Fourier, clipped gradients"),
-        ("fourier", "paper", "Fourier"),
+_PANELS: dict[Setting, tuple[tuple[str, str], ...]] = {
+    "paper": (
+        ("dco", "each point for itself"),
+        ("dco_repulsion", "repulsion, weight 2e-4"),
+        ("fourier_clipped", "Fourier, clipped gradients"),
+        ("fourier", "Fourier"),
     ),
-    (
-        ("dco", "converged", "each point for itself"),
-        ("dco_repulsion", "converged", "repulsion, weight 2e-4"),
-        ("dco_repulsion_tuned", "converged", "repulsion, weight 1e-7"),
-        ("fourier", "converged", "Fourier"),
+    "converged": (
+        ("dco", "each point for itself"),
+        ("dco_repulsion", "repulsion, weight 2e-4"),
+        ("dco_repulsion_tuned", "repulsion, weight 1e-7"),
+        ("fourier", "Fourier"),
     ),
-)
+}
+"""Experiments and their titles, a row a setting."""
 
 
 def figure(runs: tuple[PlanarRun, ...]) -> Figure:
@@ -59,16 +60,13 @@ def figure(runs: tuple[PlanarRun, ...]) -> Figure:
     ):
         _draw(panel, target, points[None])
         _describe(panel, title, measure(points, target))
-    for line, described in zip(axes, _PANELS, strict=True):
-        for panel, (name, setting, title) in zip(line[1:], described, strict=True):
+    manners = "as in the paper", "brought to rest"
+    for line, setting, manner in zip(axes, _PANELS, manners, strict=True):
+        for panel, (name, title) in zip(line[1:], _PANELS[setting], strict=True):
             run = by_name[name, setting]
             _draw(panel, target, run.trajectory)
             _describe(panel, title, run.metrics)
-        steps = by_name[described[0][:2]].steps[-1]
-        line[1].set_ylabel(
-            f"{'as in the paper' if described is _PANELS[0] else 'brought to rest'}\n{steps} steps",
-            color=INK,
-        )
+        line[1].set_ylabel(f"{manner}\n{by_name['dco', setting].steps[-1]} steps", color=INK)
 
     bar = picture.colorbar(ScalarMappable(HEAP, COLORS), ax=axes, shrink=0.6, pad=0.01, aspect=30)
     bar.set_label(f"points within {TIGHT_CLUSTER_RADIUS:g} of this one, itself included")

@@ -38,8 +38,6 @@ PROGRAM: dict[str, Numbers] = {run: numbers for (run,), numbers in _read("progra
 CLAIMS: dict[str, float] = {
     "pairs_two_sided": 16,
     "pairs_s2t": 20,
-    "sphere_two_sided": 4,
-    "sphere_s2t": 4,
     "sphere_mean_s2t_change": -0.108,
     "shapes_dco_worse": 3,
     "regularisers_worse": 4,

@@ -115,106 +115,96 @@ def _clouds(
     return [target, *(frame_cloud(store, *named) for named in zip(runs, titles, strict=True))]
 
 
-def _dots(metric: str = "two_sided") -> DrawFunction:
-    return lambda table, store: charts.printed_against_ours(table, metric)
+def _numbers(remark: str = "") -> FigureSpec:
+    caption = "Printed numbers (hollow), the published program's (diamonds) and ours (filled)."
+    return FigureSpec("numbers", caption + remark, lambda t, _: charts.printed_against_ours(t))
 
 
-def _curves(*metrics: str) -> DrawFunction:
-    return lambda table, store: charts.curves(table, metrics)
+def _curves(caption: str, *metrics: str) -> FigureSpec:
+    return FigureSpec("frames", caption, lambda table, _: charts.curves(table, metrics))
 
 
-def _finals(labels: Sequence[str], titles: Sequence[str]) -> DrawFunction:
+def _convergence(caption: str, metric: str) -> FigureSpec:
+    return FigureSpec("frames", caption, lambda table, _: charts.convergence(table, metric))
+
+
+def _finals(labels: Sequence[str], titles: Sequence[str], remark: str = "") -> FigureSpec:
     """A row of final shapes per target of the paper; labels have {} for the target."""
-    return lambda table, store: gallery(
-        [
-            (target, _clouds(table, store, [label.format(target) for label in labels], titles))
-            for target in TARGETS
-        ]
-    )
+
+    def draw(table: Table, store: Store) -> Figure:
+        rows = [(target, [label.format(target) for label in labels]) for target in TARGETS]
+        return gallery([(name, _clouds(table, store, row, titles)) for name, row in rows])
+
+    return FigureSpec("finals", _FINALS + remark, draw)
 
 
 def _dragons(table: Table, store: Store) -> Figure:
     coarse = ["DCO, 3 per edge", "DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]
     fine = ["DCO, 4 per edge", "Physics, 4 per edge", "Joint, 4 per edge, native settings"]
     titles = ["DCO", "DCD", "physics", "joint"]
-    below = _clouds(table, store, fine, ["DCO", "physics", "joint"])
-    return gallery(
-        [
-            ("3 per edge", _clouds(table, store, coarse, titles)),
-            ("4 per edge", [*below[:2], None, *below[2:]]),
-        ]
+    target, dco, *others = _clouds(table, store, fine, ["DCO", "physics", "joint"])
+    above = _clouds(table, store, coarse, titles)
+    return gallery([("3 per edge", above), ("4 per edge", [target, dco, None, *others])])
+
+
+def _strips(table: Table, store: Store) -> Figure:
+    """A film strip per row of the table: target, source, frames."""
+    rows = []
+    for line in table.lines:
+        run = _run(table, line.row.label)
+        last = line.records[0].frames - 1
+        clouds = [target_cloud(store, run), frame_cloud(store, run, "source", None)]
+        for frame in (3, 8, 15, last):
+            shown = min(frame, last)
+            clouds.append(frame_cloud(store, run, f"frame {shown}", shown))
+        rows.append((line.row.label, clouds))
+    return gallery(rows)
+
+
+def _sections(*labels: str) -> FigureSpec:
+    return FigureSpec(
+        "sections",
+        "Slices through the middle. Red particles lie closer than 0.01 to another one.",
+        lambda table, store: cross_sections(_clouds(table, store, labels, labels)),
     )
 
 
-def _strips(frames: Sequence[int]) -> DrawFunction:
-    """A film strip per row of the table: target, source, frames; -1 is the last."""
-
-    def draw(table: Table, store: Store) -> Figure:
-        rows = []
-        for line in table.lines:
-            run = _run(table, line.row.label)
-            last = line.records[0].frames - 1
-            chosen = [last if frame < 0 else min(frame, last) for frame in frames]
-            opening = [target_cloud(store, run), frame_cloud(store, run, "source", None)]
-            clouds = [frame_cloud(store, run, f"frame {frame}", frame) for frame in chosen]
-            rows.append((line.row.label, [*opening, *clouds]))
-        return gallery(rows)
-
-    return draw
-
-
-def _sections(labels: Sequence[str]) -> DrawFunction:
-    return lambda table, store: cross_sections(_clouds(table, store, labels, labels))
-
-
-def _densities(labels: Sequence[str], titles: Sequence[str] = ()) -> DrawFunction:
+def _densities(
+    labels: Sequence[str], titles: Sequence[str] = (), *, before: str = "How", target: str = "Bunny"
+) -> FigureSpec:
     def draw(table: Table, store: Store) -> Figure:
         target, *clouds = _clouds(table, store, labels, titles or labels)
         return densities(clouds, target)
 
-    return draw
+    evenly = f"evenly the final particles fill the {target}, in a slice through its middle."
+    return FigureSpec("densities", f"{before} {evenly}", draw)
 
 
-_NUMBERS = "Printed numbers (hollow), the published program's (diamonds) and ours (filled)."
+_FINALS = "Final particles, coloured by their height in the sphere."
+_STRIPS = FigureSpec("strips", "Trajectories.", _strips)
 
 _PARTS = ("all of it", "places drawn at random", "without correction", "without the grid")
 
 FIGURES: dict[str, tuple[FigureSpec, ...]] = {
     "regularisers": (
-        FigureSpec("numbers", _NUMBERS, _dots()),
-        FigureSpec(
-            "densities",
-            "How evenly the final particles fill the Bunny, in a slice through its middle.",
-            _densities(
-                ["DCO", "DCO + repulsion 0.1", "DCD", "DCD, inverse weights",
-                 "Density-aware (Wu et al.)", "Shared basis", "Physics"]
-            ),
+        _numbers(),
+        _densities(
+            ["DCO", "DCO + repulsion 0.1", "DCD", "DCD, inverse weights",
+             "Density-aware (Wu et al.)", "Shared basis", "Physics"]
         ),
     ),
     "shapes": (
-        FigureSpec(
-            "finals",
-            "Final particles, coloured by their height in the sphere. DCO and DCD at 4 points per "
-            "edge, physics and joint at 3, as in the paper.",
-            _finals(
-                ["{}, DCO", "{}, DCD", "{}, Physics, 3 per edge", "{}, Joint, 3 per edge"],
-                ["DCO", "DCD", "physics", "joint"],
-            ),
+        _finals(
+            ["{}, DCO", "{}, DCD", "{}, Physics, 3 per edge", "{}, Joint, 3 per edge"],
+            ["DCO", "DCD", "physics", "joint"],
+            " DCO and DCD at 4 points per edge, physics and joint at 3, as in the paper.",
         ),
-        FigureSpec("numbers", _NUMBERS, _dots()),
+        _numbers(),
     ),
     "sphere": (
-        FigureSpec(
-            "finals",
-            "Final particles, coloured by their height in the sphere.",
-            _finals(["{}, physics", "{}, joint"], ["physics", "joint"]),
-        ),
-        FigureSpec("numbers", _NUMBERS, _dots()),
-        FigureSpec(
-            "frames",
-            "Two-sided distance over frames.",
-            lambda table, _: charts.convergence(table, "two_sided"),
-        ),
+        _finals(["{}, physics", "{}, joint"], ["physics", "joint"]),
+        _numbers(),
+        _convergence("Two-sided distance over frames.", "two_sided"),
     ),
     "scatter": (
         FigureSpec(
@@ -224,72 +214,41 @@ FIGURES: dict[str, tuple[FigureSpec, ...]] = {
         ),
     ),
     "dragon": (
-        FigureSpec("finals", "Final particles, coloured by their height in the sphere.", _dragons),
-        FigureSpec("numbers", f"{_NUMBERS} Divided by h in the table.", _dots()),
+        FigureSpec("finals", _FINALS, _dragons),
+        _numbers(" Divided by h in the table."),
     ),
-    "ablation": (
-        FigureSpec("numbers", f"{_NUMBERS} Bars: one standard deviation over seeds.", _dots()),
-    ),
+    "ablation": (_numbers(" Bars: one standard deviation over seeds."),),
     "overlap": (
-        FigureSpec(
-            "sections",
-            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
-            _sections(["DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"]),
-        ),
-        FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),
-        FigureSpec("frames", "Overlap over frames.", _curves("overlap_01", "overlap_h10")),
+        _sections("DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge"),
+        _STRIPS,
+        _curves("Overlap over frames.", "overlap_01", "overlap_h10"),
     ),
-    "convergence": (
-        FigureSpec(
-            "frames",
-            "s→t over frames, as computed.",
-            lambda table, _: charts.convergence(table, "s2t"),
-        ),
-    ),
-    "teaser": (FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),),
+    "convergence": (_convergence("s→t over frames, as computed.", "s2t"),),
+    "teaser": (_STRIPS,),
     "fairness": (
-        FigureSpec(
-            "frames",
-            "Distance and overlap over frames at equal resolution.",
-            _curves("two_sided", "overlap_01"),
+        _curves(
+            "Distance and overlap over frames at equal resolution.", "two_sided", "overlap_01"
         ),
-        FigureSpec(
-            "sections",
-            "Slices through the middle. Red particles lie closer than 0.01 to another one.",
-            _sections(["DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"]),
-        ),
-        FigureSpec(
-            "densities",
-            "How evenly the final particles fill the Bunny, in a slice through its middle.",
-            _densities(
-                ["DCO", "DCO, converged", "DCD, converged", "Density-aware (Wu et al.), converged",
-                 "Shared basis, converged", "Physics", "Joint", "Joint, preset fast"]
-            ),
+        _sections("DCO", "DCO, converged", "Shared basis, converged", "Physics", "Joint"),
+        _densities(
+            ["DCO", "DCO, converged", "DCD, converged", "Density-aware (Wu et al.), converged",
+             "Shared basis, converged", "Physics", "Joint", "Joint, preset fast"]
         ),
     ),
     "ingredients": (
-        FigureSpec(
-            "densities",
-            "Cow → Duck: how evenly the final particles fill the Duck, in a slice through its "
-            "middle.",
-            _densities(
-                [f"Cow → Duck: {part}" for part in _PARTS], [part.capitalize() for part in _PARTS]
-            ),
+        _densities(
+            [f"Cow → Duck: {part}" for part in _PARTS],
+            [part.capitalize() for part in _PARTS],
+            before="Cow → Duck: how",
+            target="Duck",
         ),
     ),
     "objectives": (
-        FigureSpec(
-            "densities",
-            "How evenly the final particles fill the Bunny, in a slice through its middle.",
-            _densities(
-                ["Chamfer (DCO), converged", "Density-aware Chamfer, converged",
-                 "Sliced Wasserstein, 3600 steps", "Sinkhorn divergence, 1800 steps", "Transport"],
-                ["Chamfer", "Density-aware", "Sliced Wasserstein", "Sinkhorn", "Transport"],
-            ),
+        _densities(
+            ["Chamfer (DCO), converged", "Density-aware Chamfer, converged",
+             "Sliced Wasserstein, 3600 steps", "Sinkhorn divergence, 1800 steps", "Transport"],
+            ["Chamfer", "Density-aware", "Sliced Wasserstein", "Sinkhorn", "Transport"],
         ),
     ),
-    "trial": (
-        FigureSpec("frames", "Distance over frames.", _curves("two_sided", "s2t")),
-        FigureSpec("strips", "Trajectories.", _strips((3, 8, 15, -1))),
-    ),
+    "trial": (_curves("Distance over frames.", "two_sided", "s2t"), _STRIPS),
 }  # fmt: skip

@@ -109,12 +109,9 @@ def _remark(text: str) -> str:
 
 
 def _cell(cell: DisplayCell, is_first: bool) -> str:
-    kinds = [
-        *(["first"] if is_first else []),
-        *(["best"] if cell.is_best else []),
-        *(["failed"] if cell.text == "failed" else []),
-    ]
-    attribute = f' class="{" ".join(kinds)}"' if kinds else ""
+    marks = (("first", is_first), ("best", cell.is_best), ("failed", cell.text == "failed"))
+    kinds = " ".join(name for name, applies in marks if applies)
+    attribute = f' class="{kinds}"' if kinds else ""
     return f"<td{attribute}>{escape(cell.text)}</td>"
 
 

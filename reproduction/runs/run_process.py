@@ -74,11 +74,8 @@ def main() -> int:
     """Read the command line and compute; a run that cannot be computed is noted in the store."""
     exit_with_parent(1)
     text, results, folder, threads = sys.argv[1:]
-    run, store, meshes = (
-        Run.model_validate_json(text),
-        Store(Path(results)),
-        MeshFolder(Path(folder)),
-    )
+    run = Run.model_validate_json(text)
+    store, meshes = Store(Path(results)), MeshFolder(Path(folder))
     try:
         compute(run, store, meshes, threads=int(threads))
     except MorphError as error:

@@ -103,7 +103,6 @@ def execute(
     Raises:
         MorphError: A mesh is missing or a setting unknown; nothing has been computed then.
     """
-    digests = {run.id: run.digest(meshes) for run in runs}
     known = known_records(runs, store, meshes)
     missing = [run for run in runs if run.id not in known]
     waiting = sorted(missing, key=lambda run: run.expected_cpu_seconds)  # taken from the end
@@ -122,7 +121,7 @@ def execute(
                 progress.frames[run.id] = max(frames, progress.frames.get(run.id, 0))
                 if process.poll() is not None:
                     del active[run.id], progress.frames[run.id]
-                    progress.finished[run.id] = _record(run, digests[run.id], store, process)
+                    progress.finished[run.id] = _record(run, run.digest(meshes), store, process)
             on_progress(progress)
     finally:
         for _, process in active.values():
