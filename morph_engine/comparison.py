@@ -29,8 +29,6 @@ from morph_engine.metrics.deformation import deformation_metrics
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.results.trajectory import Trajectory
 
-__all__ = ["DEFAULT_SPACING", "Comparable", "Measurement", "Reference", "compare", "measure"]
-
 Reference = Literal["volume", "surface"]
 Comparable = Mesh | Trajectory | str | Path | npt.ArrayLike
 
@@ -132,7 +130,6 @@ def compare(
     frame: int = -1,
     tau: float = 0.2,
     sample_count: int = 80_000,
-    seed: int = 0,
     workers: int = 1,
 ) -> Measurement:
     """Measure one shape as the particles against another as the target.
@@ -151,7 +148,6 @@ def compare(
         frame: Frame of a result, negative from the end.
         tau: Threshold of precision, recall and F1 [dx], strict.
         sample_count: Number of samples of a surface.
-        seed: Seed of the samples of a surface.
         workers: Threads for the searches; -1 takes every core.
 
     Returns:
@@ -179,7 +175,7 @@ def compare(
             return shape.points
         assert shape.mesh is not None
         if reference == "surface":
-            return sample_surface(shape.mesh, count=sample_count, seed=seed)
+            return sample_surface(shape.mesh, count=sample_count, seed=0)
         return _fill(shape.mesh, spacing)
 
     return measure(

@@ -60,12 +60,7 @@ def unknown_name(
 ) -> MorphError:
     """The error for a name that is none of the known ones; its remedy has the nearest of them.
 
-    Args:
-        kind: What the name would be of, as in "preset".
-        name: What was given.
-        known: The names there are, at least one.
-        list_known: Whether the remedy lists them all.
-        error: Class of the error.
+    With `list_known` the remedy lists them all, as names of a kind such as "preset".
     """
     import difflib
 

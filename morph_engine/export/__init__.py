@@ -57,7 +57,7 @@ def export(
     fields: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Write frames of a result to a file, which is there as a whole or not at all.
+    """Write frames of a result to a file, which is there as a whole or not at all; its path.
 
     A format of kind ``frame`` holds one frame in a file. Of several frames it makes a zip archive
     where the path ends in ``.zip``, and else a folder.
@@ -73,9 +73,6 @@ def export(
         fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
             them from the particle nearest to each of its vertices.
         watch: Called with the number of frames written and to be written.
-
-    Returns:
-        The path.
 
     Raises:
         ConfigError: There is no such format or field, or the format cannot hold what is asked for.

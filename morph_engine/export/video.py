@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from morph_engine.export.format import Format
-from morph_engine.rendering.pictures import VideoKind, video
+from morph_engine.rendering.pictures import video
+from morph_engine.rendering.video_encoder import VideoKind
 from morph_engine.results.selection import Selection
 
 

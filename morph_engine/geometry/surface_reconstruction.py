@@ -35,7 +35,7 @@ ISO_LEVEL = 0.63
 sphere's own volume; `docs/exports.md` has the measurements."""
 
 SMOOTHING = 10
-"""Steps of smoothing: enough to hide the lattice, few enough to keep edges."""
+"""Steps of smoothing: enough to hide the lattice, few enough to keep edges, which shrink."""
 
 REACH_OVER_H = 1e4
 """Particles farther than this many spacings from the middle of all have escaped."""
@@ -102,16 +102,13 @@ class Surface:
         return np.bincount(self.part_of_face, weights=areas).astype(np.float64)
 
 
-def reconstruct_surface(
-    positions: npt.ArrayLike, spacing: float, *, smoothing: int = SMOOTHING
-) -> Surface:
+def reconstruct_surface(positions: npt.ArrayLike, spacing: float) -> Surface:
     """Reconstruct the surface of a fill.
 
     Args:
         positions: Particle positions [dx], shape [n, 3]. Those not finite, or far beyond the
             others, take no part.
         spacing: Lattice spacing h of the particles at rest [dx].
-        smoothing: Steps of smoothing, 0 for none. Each shrinks what is sharp a little.
 
     Returns:
         The surface, which is watertight; the same to the bit for the same particles.
@@ -133,7 +130,7 @@ def reconstruct_surface(
         cube_size=CELL_OVER_H * spacing / radius,
         iso_surface_threshold=ISO_LEVEL,
         mesh_cleanup=True,
-        mesh_smoothing_iters=smoothing,
+        mesh_smoothing_iters=SMOOTHING,
         mesh_smoothing_weights=True,
         multi_threading=False,  # with threads, no two runs give the same bits
     )

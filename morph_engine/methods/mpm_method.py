@@ -76,12 +76,9 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
         transitions: int,
         adjoint: AdjointConfig | None = None,
     ) -> Simulation:
-        """A simulation of the material.
+        """A simulation of the material with rest volumes [dx^3], shape [n].
 
-        Args:
-            rest_volume: Rest volumes [dx^3], shape [n].
-            transitions: Time steps that are kept at a time.
-            adjoint: Departures from the exact adjoint; none if not given.
+        So many transitions are kept at a time; the adjoint is exact if nothing else is given.
         """
         material = self.options.material
         return mpm.Simulation(
@@ -112,12 +109,9 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
     def _outcome(
         self, order: NDArray[np.intp], numbers: dict[str, float], events: tuple[Event, ...] = ()
     ) -> FrameOutcome:
-        """Report the state kept last.
+        """Report the state kept last, whose particles have this order on the device.
 
-        Args:
-            order: The order of its particles on the device, where their matches are up to date.
-            numbers: Losses and steps of the frame.
-            events: What the watchdog did.
+        Their matches must be up to date.
         """
         p, original = self._particles, np.argsort(order)
         d_fwd, d_rev = self._matches.distances()

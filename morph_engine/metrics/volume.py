@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 igl: Any = lazy.load("igl")
 
-__all__ = ["density_ratio", "fill_metrics", "outside_metrics"]
-
 QUANTILES = {"rho_p01": 0.01, "rho_p05": 0.05, "rho_p50": 0.5, "rho_p95": 0.95, "rho_p99": 0.99}
 AXIS_BITS = 21
 """Bits of a raster index along one axis: three of them pack into an int64."""

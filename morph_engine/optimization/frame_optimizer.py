@@ -37,14 +37,9 @@ class Losses:
 
 @dataclass
 class FrameReport:
-    """What happened in one frame.
+    """What happened in one frame: final losses, control steps, time step [s] and watchdog events.
 
-    Attributes:
-        losses: Loss values of the final state.
-        accepted: Accepted control steps.
-        failed: Control steps of which every trial was rejected.
-        dt: Time step used [s].
-        events: Watchdog events.
+    A control step has failed if every trial was rejected.
     """
 
     losses: Losses = Losses(math.nan, math.nan)

@@ -23,8 +23,6 @@ from morph_engine.results.fields import find as find_field
 from morph_engine.results.selection import Selection
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
-__all__ = ["Camera", "VideoKind", "height_colors", "look", "picture", "thumbnail", "video"]
-
 Floats = npt.NDArray[np.float64]
 Size = tuple[int, int]
 

@@ -17,8 +17,6 @@ from morph_engine.geometry.point_cloud import (
     target_points,
 )
 
-__all__ = ["FIELDS", "FieldDefinition", "field", "find"]
-
 Values = npt.NDArray[np.float32]
 
 DENSITY_RADIUS = 1.0

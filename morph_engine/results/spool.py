@@ -160,10 +160,8 @@ class Spool(SpoolReader):
     ) -> Spool:
         """Open the run directory that an earlier process left, or that another one writes.
 
-        Args:
-            result_path: The result file it belongs to.
-            run: What the run must be made of; None accepts any.
-            writable: Lock it to go on with the run; False only reads what is finished by now.
+        With `run`, it must be made of that. It is locked to go on with the run if it is `writable`;
+        else only what is finished by now is read.
 
         Raises:
             ResultError: There is none, another process writes it, it is damaged, or it is of

@@ -36,12 +36,8 @@ _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 def write_result(spool: Spool, path: str | Path | None = None, *, status: Status) -> Path:
     """Assemble the result file of all finished frames; the spool stays as it is.
 
-    The file is assembled in memory, which takes 16 bytes per particle and frame.
-
-    Args:
-        spool: The run directory.
-        path: The file to write or to replace; None means the spool's own result file.
-        status: "complete", or "partial" for a run that was stopped.
+    The file is assembled in memory, which takes 16 bytes per particle and frame. Without a path it
+    is the spool's own result file.
 
     Raises:
         ResultError: A frame of the spool is damaged, or the disk refuses.
