@@ -35,10 +35,8 @@ PREVIEW_CACHE_BYTES = 64 << 20
 COMPUTATIONS = 1
 """Fields, thumbnails, meshes and the like computed at the same time, in this process."""
 
-SURFACES = 1
-PARTIAL_RESULTS = 1
-EXPORTS = 1
-"""Files made of a job's frames at the same time; each may take the memory of
+FILES = 1
+"""Surfaces, results and exports each made at the same time, which may take the memory of
 `export_memory_bytes`."""
 
 
@@ -90,10 +88,10 @@ class ServerContext:
                 cache_bytes=PREVIEW_CACHE_BYTES,
                 size_of=lambda shape: shape.positions.nbytes,
             ),
-            surfaces=SingleFlight(anyio.CapacityLimiter(SURFACES)),
+            surfaces=SingleFlight(anyio.CapacityLimiter(FILES)),
             thumbnails=SingleFlight(compute_limiter),
-            partial_results=SingleFlight(anyio.CapacityLimiter(PARTIAL_RESULTS)),
-            exports=SingleFlight(anyio.CapacityLimiter(EXPORTS)),
+            partial_results=SingleFlight(anyio.CapacityLimiter(FILES)),
+            exports=SingleFlight(anyio.CapacityLimiter(FILES)),
         )
 
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:

@@ -65,13 +65,7 @@ class JobFeed:
             after = self._ids[-1] if self._ids and not restarted else 0
             for event in self._log.read(after, limit=1 << 30):
                 ids.append(event.id)
-                encoded.append(
-                    encode_event(
-                        Event.model_validate(
-                            {"id": event.id, "type": event.type, "at": event.at, "data": event.data}
-                        )
-                    )
-                )
+                encoded.append(encode_event(Event.model_validate(event, from_attributes=True)))
         if ids or restarted or state is not self.state or not self.ready.is_set():
             self._next = state, ids, encoded, restarted
         self._size = size

@@ -15,8 +15,6 @@ from chamfer_morph.worker.storage import Storage
 DISK_SECONDS = 30.0
 """How long a measured use of disk is believed."""
 
-PAGE = 1000
-
 
 class Quotas:
     """The quotas of each key. Calls block.
@@ -113,10 +111,4 @@ class Quotas:
         self._disk.pop(owner, None)
 
     def _job_bytes(self, owner: str) -> int:
-        total, before = 0, None
-        while True:
-            page = self._queue.newest(owner=owner, before=before, limit=PAGE)
-            total += sum(self._storage.job_bytes(record.id) for record in page)
-            if len(page) < PAGE:
-                return total
-            before = (page[-1].created_at, page[-1].id)
+        return sum(self._storage.job_bytes(record.id) for record in self._queue.all(owner=owner))

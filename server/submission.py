@@ -158,14 +158,6 @@ def idempotency_conflict() -> ProblemError:
     )
 
 
-def shape_name(shape: Shape, caller: Caller, context: ServerContext) -> str:
-    """What a user calls a shape."""
-    if not isinstance(shape, MeshShape):
-        return shape.shape
-    row = context.meshes.get(caller.owner_filter, shape.mesh)
-    return row.name if row else shape.mesh[:12]
-
-
 def _shape(
     role: str, shape: Shape, config: MorphConfig, caller: Caller, context: ServerContext
 ) -> tuple[int, str]:

@@ -62,12 +62,12 @@ def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
     """
     storage = Storage(settings.data_dir)
     deleted = []
-    for record in _finished(queue):
+    for record in queue.all(states=FINISHED):
         if _is_expired(settings, record) and delete_if_unchanged(queue, storage, record):
             deleted.append(record.id)
     if settings.retention_bytes:
         kept = 0
-        for record in _finished(queue):
+        for record in queue.all(states=FINISHED):
             kept += storage.job_bytes(record.id)
             if kept > settings.retention_bytes and delete_if_unchanged(queue, storage, record):
                 deleted.append(record.id)
@@ -120,17 +120,6 @@ def run(settings: Settings) -> None:
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")
         time.sleep(settings.adoption_seconds)
-
-
-def _finished(queue: JobQueue) -> list[JobRecord]:
-    """All finished jobs, the newest first."""
-    records: list[JobRecord] = []
-    while True:
-        last = (records[-1].created_at, records[-1].id) if records else None
-        page = queue.newest(states=FINISHED, before=last, limit=1000)
-        records += page
-        if len(page) < 1000:
-            return records
 
 
 def _is_expired(settings: Settings, record: JobRecord) -> bool:

@@ -11,7 +11,7 @@ decide which of their jobs takes which of their places.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
@@ -39,6 +39,9 @@ WORKFLOW = "morph"
 QUEUE = "jobs"
 RECORD_CACHE_SIZE = 4096
 """Jobs that a process remembers as it read them last."""
+
+PAGE = 1000
+"""Jobs read at once."""
 
 NOBODY = "-"
 """Owner of jobs submitted without a key."""
@@ -204,6 +207,15 @@ class JobQueue:
             )
         query = query.order_by(created.desc(), t.c.workflow_uuid.desc())
         return [*self._records(query.limit(limit))]
+
+    def all(
+        self, *, owner: str | None = None, states: Collection[JobState] | None = None
+    ) -> Iterator[JobRecord]:
+        """All jobs, the newest first, read page by page; arguments as of `newest`."""
+        before: tuple[datetime, str] | None = None
+        while page := self.newest(owner=owner, states=states, before=before, limit=PAGE):
+            yield from page
+            before = (page[-1].created_at, page[-1].id)
 
     def states(self, job_ids: Collection[str]) -> dict[str, JobState]:
         """The states of some jobs, without those that do not exist; cheaper than `get`."""

@@ -9,6 +9,8 @@ import time
 from datetime import datetime, timezone
 
 import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, Session, mapped_column
 
 METADATA = sa.MetaData()
 
@@ -21,26 +23,52 @@ KEYS = sa.Table(
     sa.Column("created_at", sa.BigInteger, nullable=False),
 )
 
-MESHES = sa.Table(
-    "morph_meshes",
-    METADATA,
-    sa.Column("owner", sa.String(64), primary_key=True),
-    sa.Column("sha256", sa.String(64), primary_key=True),
-    sa.Column("name", sa.String(255), nullable=False),
-    sa.Column("size_bytes", sa.BigInteger, nullable=False),
-    sa.Column("created_at", sa.BigInteger, nullable=False),
-    sa.Index("morph_meshes_by_age", "created_at", "sha256"),
-)
 
-SWEEPS = sa.Table(
-    "morph_sweeps",
-    METADATA,
-    sa.Column("id", sa.String(26), primary_key=True),
-    sa.Column("owner", sa.String(64), nullable=False),
-    sa.Column("name", sa.String(255), nullable=False),
-    sa.Column("body", sa.String(64), nullable=False),
-    sa.Column("created_at", sa.BigInteger, nullable=False),
-)
+class Row(MappedAsDataclass, DeclarativeBase):
+    """Base of rows that are objects, too."""
+
+    metadata = METADATA
+
+
+class MeshRow(Row):
+    """An upload.
+
+    Attributes:
+        owner: Name of the key; empty without keys.
+        sha256: Digest of the file.
+        name: Name of the file.
+        size_bytes: Its size.
+        created_at: When it came [microseconds since 1970].
+    """
+
+    __tablename__ = "morph_meshes"
+    __table_args__ = (sa.Index("morph_meshes_by_age", "created_at", "sha256"),)
+
+    owner: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
+    sha256: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(sa.String(255))
+    size_bytes: Mapped[int] = mapped_column(sa.BigInteger)
+    created_at: Mapped[int] = mapped_column(sa.BigInteger)
+
+
+class SweepRow(Row):
+    """A sweep.
+
+    Attributes:
+        id: Its id.
+        owner: Name of the key that asked for it.
+        name: The user's name for it.
+        body: SHA-256 of the request.
+        created_at: When [microseconds since 1970].
+    """
+
+    __tablename__ = "morph_sweeps"
+
+    id: Mapped[str] = mapped_column(sa.String(26), primary_key=True)
+    owner: Mapped[str] = mapped_column(sa.String(64))
+    name: Mapped[str] = mapped_column(sa.String(255))
+    body: Mapped[str] = mapped_column(sa.String(64))
+    created_at: Mapped[int] = mapped_column(sa.BigInteger)
 
 
 def create(engine: sa.Engine) -> None:
@@ -52,6 +80,16 @@ def create(engine: sa.Engine) -> None:
             connection.execute(sa.schema.CreateTable(table, if_not_exists=True))
             for index in table.indexes:
                 connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+
+
+def insert(engine: sa.Engine, row: Row) -> bool:
+    """Add a row; False if one with its primary key is there."""
+    try:
+        with Session(engine, expire_on_commit=False) as session, session.begin():
+            session.add(row)
+    except IntegrityError:
+        return False
+    return True
 
 
 def now() -> int:

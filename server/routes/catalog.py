@@ -16,16 +16,13 @@ from morph_engine.geometry import shapes
 
 router = APIRouter(tags=["catalog"], route_class=AuthenticatedRoute)
 
-TEXT_SHAPE = Resource(name="text:WORD", description="Extruded letters of any text.", config=None)
+TEXT_SHAPE = Resource(name="text:WORD", description="Extruded letters of any text.")
 
 
 @router.get("/presets", operation_id="listPresets", summary="List presets")
 def list_presets(caller: Reader) -> list[Resource]:
     """Configurations to start from, the default first."""
-    return [
-        Resource(name=name, description=presets.describe(name), config=None)
-        for name in presets.names()
-    ]
+    return [Resource(name=name, description=presets.describe(name)) for name in presets.names()]
 
 
 @router.get("/presets/{name}", operation_id="getPreset", summary="Show a preset")
@@ -53,10 +50,7 @@ def list_methods(caller: Reader) -> list[Resource]:
 @router.get("/shapes", operation_id="listShapes", summary="List built-in shapes")
 def list_shapes(caller: Reader) -> list[Resource]:
     """Shapes that need no file; all hold about the same number of particles."""
-    named = [
-        Resource(name=name, description=f"A built-in {name}.", config=None)
-        for name in shapes.names()
-    ]
+    named = [Resource(name=name, description=f"A built-in {name}.") for name in shapes.names()]
     return [*named, TEXT_SHAPE]
 
 
@@ -71,6 +65,6 @@ def get_config_schema(caller: Reader) -> dict[str, Any]:
 @cache
 def _methods() -> tuple[Resource, ...]:
     return tuple(
-        Resource(name=name, description=methods.options_of(name).summary(), config=None)
+        Resource(name=name, description=methods.options_of(name).summary())
         for name in methods.names()
     )

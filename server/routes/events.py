@@ -69,8 +69,5 @@ def accepts_stream(accept: str) -> bool:
 def _page(job: JobRecord, after: int, limit: int, context: ServerContext) -> EventPage:
     """Events of the log; the state was read before, so a final one has all its events."""
     logged = context.storage.events(job.id).read(after, limit)
-    items = [
-        Event.model_validate({"id": e.id, "type": e.type, "at": e.at, "data": e.data})
-        for e in logged
-    ]
+    items = [Event.model_validate(event, from_attributes=True) for event in logged]
     return EventPage(items=items, last_id=items[-1].id if items else after, state=job.state)

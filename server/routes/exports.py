@@ -65,15 +65,7 @@ def list_formats(caller: Reader) -> list[ExportFormat]:
     from morph_engine.export import FORMATS
 
     return [
-        ExportFormat(
-            name=format.name,
-            suffix=format.suffix,
-            media_type=format.media_type,
-            kind=format.kind,
-            carries=sorted(format.carries),
-            extra=format.extra,
-            description=format.description,
-        )
+        ExportFormat.model_validate(vars(format) | {"carries": sorted(format.carries)})
         for format in FORMATS.values()
     ]
 
@@ -238,12 +230,11 @@ def _show(
     flight = context.exports.find((job_id, export_id)) if known else None
     stored = StoredExport.find(folder, export_id) if known else None
     if stored is not None:
-        export = Export(
+        return Export(
             id=export_id, job=job_id, state="ready", progress=1.0, problem=None,
             file_name=stored.name, size=stored.size_bytes,
             links={"self": here, "file": f"{here}/file"},
-        )  # fmt: skip
-        return export, stored
+        ), stored  # fmt: skip
     if flight is None:
         raise ProblemError(
             404,
@@ -251,12 +242,11 @@ def _show(
             "Ask for it again with POST.",
         )
     problem = _problem(flight.error) if flight.error else None
-    export = Export(
+    return Export(
         id=export_id, job=job_id, state="failed" if problem else "running",
         progress=flight.progress, problem=problem, file_name=None, size=None,
         links={"self": here},
-    )  # fmt: skip
-    return export, None
+    ), None  # fmt: skip
 
 
 def _problem(error: Exception) -> Problem:

@@ -47,12 +47,7 @@ def list_fields(caller: Reader) -> list[ParticleField]:
     """What particles can be coloured by: one number for each particle and frame."""
     from morph_engine.results.fields import FIELDS
 
-    return [
-        ParticleField(
-            name=name, label=f.label, unit=f.unit, meaning=f.meaning, diverging=f.diverging
-        )
-        for name, f in FIELDS.items()
-    ]
+    return [ParticleField(name=name, **vars(field)) for name, field in FIELDS.items()]
 
 
 @router.get(

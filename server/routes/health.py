@@ -85,18 +85,13 @@ class _QueueCollector(Collector):
     def __init__(self, context: ServerContext) -> None:
         self._context = context
 
-    def describe(self) -> Iterator[GaugeMetricFamily]:
-        yield GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
-        yield GaugeMetricFamily("morph_event_streams", "Open event streams.")
-
     def collect(self) -> Iterator[GaugeMetricFamily]:
         jobs = GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
         for state, count in self._context.queue.counts().items():
             jobs.add_metric((state.value,), count)
         yield jobs
-        streams = GaugeMetricFamily("morph_event_streams", "Open event streams.")
-        streams.add_metric((), self._context.event_hub.subscribers)
-        yield streams
+        streams = self._context.event_hub.subscribers
+        yield GaugeMetricFamily("morph_event_streams", "Open event streams.", streams)
 
 
 @router.get("/livez", operation_id="livez", summary="Is the process alive?")

@@ -16,8 +16,7 @@ from chamfer_morph.schemas import JobState, Mesh, MeshPage, MeshShape
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
-from chamfer_morph.server.database.meshes import MeshRow
-from chamfer_morph.server.database.tables import as_time
+from chamfer_morph.server.database.tables import MeshRow, as_time
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.conditional import file_response
 from chamfer_morph.server.http.problems import ProblemError, not_found
@@ -34,8 +33,6 @@ from chamfer_morph.worker.sandbox.computations import inspect_mesh
 from morph_engine.geometry.mesh import FORMATS
 
 router = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
-
-PAGE = 1000
 
 ARCHIVES = ("zip", "gz", "tar", "tgz", "7z", "rar", "xz")
 
@@ -266,15 +263,9 @@ def _store(
 
 def _unfinished_users(mesh_id: str, context: ServerContext) -> list[tuple[str, str]]:
     """Id and owner of the unfinished jobs that use a mesh."""
-    users, before = [], None
-    while True:
-        page = context.queue.newest(
-            states={JobState.QUEUED, JobState.RUNNING}, before=before, limit=PAGE
-        )
-        for record in page:
-            shapes = (record.spec.source, record.spec.target)
-            if any(isinstance(s, MeshShape) and s.mesh == mesh_id for s in shapes):
-                users.append((record.id, record.owner))
-        if len(page) < PAGE:
-            return users
-        before = (page[-1].created_at, page[-1].id)
+    shape = MeshShape(mesh=mesh_id)
+    return [
+        (record.id, record.owner)
+        for record in context.queue.all(states={JobState.QUEUED, JobState.RUNNING})
+        if shape in (record.spec.source, record.spec.target)
+    ]
