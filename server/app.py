@@ -10,7 +10,6 @@ import anyio
 from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
-from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http import openapi, problems
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
@@ -58,9 +57,6 @@ def create_app(settings: Settings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         context = await anyio.to_thread.run_sync(ServerContext.open, settings)
         app.state.context = context
-        app.state.authenticator = Authenticator(
-            context.api_keys, open_without_keys=is_loopback(settings.host)
-        )
         metrics.observe_queue(context)
         try:
             yield

@@ -125,7 +125,7 @@ class RequireScope:
         """
         if key is None and "authorization" in request.headers:
             raise _unauthorized("The Authorization header holds no bearer key.")
-        authenticator: Authenticator = request.app.state.authenticator
+        authenticator: Authenticator = request.app.state.context.authenticator
         found = await authenticator.authenticate(request, key.credentials if key else None)
         if not found.has_scope(self.scope):
             raise ProblemError(

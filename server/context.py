@@ -10,6 +10,7 @@ import anyio
 import sqlalchemy as sa
 from fastapi import Depends, Request
 
+from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.database import tables
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.meshes import MeshStore
@@ -49,6 +50,7 @@ class ServerContext:
     queue: JobQueue
     engine: sa.Engine
     api_keys: ApiKeyStore
+    authenticator: Authenticator
     meshes: MeshStore
     sweeps: SweepStore
     quotas: Quotas
@@ -69,14 +71,15 @@ class ServerContext:
         queue.migrate()
         engine = database(settings)
         tables.create(engine)
-        meshes = MeshStore(engine)
+        api_keys, meshes = ApiKeyStore(engine), MeshStore(engine)
         compute_limiter = anyio.CapacityLimiter(COMPUTATIONS)
         return cls(
             settings=settings,
             storage=storage,
             queue=queue,
             engine=engine,
-            api_keys=ApiKeyStore(engine),
+            api_keys=api_keys,
+            authenticator=Authenticator(api_keys, open_without_keys=is_loopback(settings.host)),
             meshes=meshes,
             sweeps=SweepStore(engine),
             quotas=Quotas(settings, storage, queue, meshes),

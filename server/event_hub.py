@@ -65,7 +65,7 @@ class JobFeed:
             after = self._ids[-1] if self._ids and not restarted else 0
             for event in self._log.read(after, limit=1 << 30):
                 ids.append(event.id)
-                encoded.append(encode_event(Event.model_validate(event, from_attributes=True)))
+                encoded.append(encode_event(event))
         if ids or restarted or state is not self.state or not self.ready.is_set():
             self._next = state, ids, encoded, restarted
         self._size = size

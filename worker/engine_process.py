@@ -28,7 +28,7 @@ from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_
 from morph_engine.child_process import lower_priority
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
-from morph_engine.morphing import Frame, prepare, run
+from morph_engine.morphing import prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
@@ -80,7 +80,8 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:
                 log.append("watchdog", dict(event.document()))
-            log.append("frame", _frame_event(frame, frames, attempt))
+            about = {"frame": frame.index, "frames": frames, "attempt": attempt}
+            log.append("frame", about | {"metrics": frame.metrics, "seconds": frame.seconds})
             _send("frame", {"frame": frame.index})
     return _outcome(out)
 
@@ -130,16 +131,6 @@ def _outcome(out: Path) -> Outcome:
         cpu_seconds=time.process_time(),
         peak_memory_mb=peak_memory() / 1e6,
     )
-
-
-def _frame_event(frame: Frame, frames: int, attempt: int) -> dict[str, Any]:
-    return {
-        "frame": frame.index,
-        "frames": frames,
-        "attempt": attempt,
-        "metrics": frame.metrics,
-        "seconds": frame.seconds,
-    }
 
 
 def _watch_worker(out: Path) -> None:

@@ -10,24 +10,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from chamfer_morph.schemas import Event
+
 TAIL_BYTES = 1 << 14
-
-
-@dataclass(frozen=True)
-class LoggedEvent:
-    """One event.
-
-    Attributes:
-        id: 1-based line number.
-        type: attempt, frame, watchdog or problem.
-        at: When it happened.
-        data: What belongs to it, as JSON.
-    """
-
-    id: int
-    type: str
-    at: datetime
-    data: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -60,9 +45,9 @@ class EventLog:
             torn = file.tell() and os.pread(file.fileno(), 1, file.tell() - 1) != b"\n"
             file.write((b"\n" if torn else b"") + line.encode())
 
-    def read(self, after: int = 0, limit: int = 1000) -> list[LoggedEvent]:
+    def read(self, after: int = 0, limit: int = 1000) -> list[Event]:
         """Events with an id above `after`, the oldest first, at most `limit` of them."""
-        events: list[LoggedEvent] = []
+        events: list[Event] = []
         try:
             with self.path.open("rb") as file:
                 for number, line in enumerate(file, 1):
@@ -72,7 +57,7 @@ class EventLog:
             pass
         return events
 
-    def tail(self) -> list[LoggedEvent]:
+    def tail(self) -> list[Event]:
         """The last events, the newest last; their ids are not known and given as 0."""
         try:
             with self.path.open("rb") as file:
@@ -85,15 +70,13 @@ class EventLog:
         return [event for line in whole for event in _parsed(0, line)]
 
 
-def _parsed(number: int, line: bytes) -> list[LoggedEvent]:
+def _parsed(number: int, line: bytes) -> list[Event]:
     """The event of a line; none if the line is torn."""
     if not line.endswith(b"\n"):
         return []
     try:
-        event = json.loads(line)
-        at = datetime.fromisoformat(event["at"])
-        return [LoggedEvent(number, event["type"], at, event["data"])]
-    except (ValueError, KeyError, TypeError):
+        return [Event.model_validate({"id": number, **json.loads(line)})]
+    except (ValueError, TypeError):
         return []
 
 

@@ -81,6 +81,11 @@ class JobRecord:
     outcome: Outcome | None
     problem: Problem | None
 
+    @property
+    def age_and_id(self) -> tuple[int, str]:
+        """Its place in a listing: when it was created [ms since 1970], and its id."""
+        return round(self.created_at.timestamp() * 1000), self.id
+
 
 class JobQueue:
     """The queue, without the means to run a job. Calls block; any thread may make them.
@@ -171,7 +176,7 @@ class JobQueue:
         states: Collection[JobState] | None = None,
         sweep: str | None = None,
         method: str | None = None,
-        before: tuple[datetime, str] | None = None,
+        before: tuple[int, str] | None = None,
         limit: int = 100,
     ) -> list[JobRecord]:
         """Jobs, the newest first.
@@ -181,7 +186,7 @@ class JobQueue:
             states: Only jobs in these states.
             sweep: Only jobs of this sweep.
             method: Only jobs of this method.
-            before: Only jobs older than this one, by its `created_at` and `id`.
+            before: Only jobs older than the one with this `age_and_id`.
             limit: At most so many.
         """
         t = self._table
@@ -201,10 +206,7 @@ class JobQueue:
             if JobState.CANCELLED not in states:
                 query = query.where((t.c.status != "CANCELLED") | self._late)
         if before is not None:
-            age = round(before[0].timestamp() * 1000)
-            query = query.where(
-                (created < age) | ((created == age) & (t.c.workflow_uuid < before[1]))
-            )
+            query = query.where(sa.tuple_(created, t.c.workflow_uuid) < before)
         query = query.order_by(created.desc(), t.c.workflow_uuid.desc())
         return [*self._records(query.limit(limit))]
 
@@ -212,10 +214,10 @@ class JobQueue:
         self, *, owner: str | None = None, states: Collection[JobState] | None = None
     ) -> Iterator[JobRecord]:
         """All jobs, the newest first, read page by page; arguments as of `newest`."""
-        before: tuple[datetime, str] | None = None
+        before: tuple[int, str] | None = None
         while page := self.newest(owner=owner, states=states, before=before, limit=PAGE):
             yield from page
-            before = (page[-1].created_at, page[-1].id)
+            before = page[-1].age_and_id
 
     def states(self, job_ids: Collection[str]) -> dict[str, JobState]:
         """The states of some jobs, without those that do not exist; cheaper than `get`."""

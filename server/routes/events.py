@@ -8,7 +8,7 @@ import anyio
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
-from chamfer_morph.schemas import Event, EventPage
+from chamfer_morph.schemas import EventPage
 from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.routes.job_lookup import VisibleJob
@@ -68,6 +68,5 @@ def accepts_stream(accept: str) -> bool:
 
 def _page(job: JobRecord, after: int, limit: int, context: ServerContext) -> EventPage:
     """Events of the log; the state was read before, so a final one has all its events."""
-    logged = context.storage.events(job.id).read(after, limit)
-    items = [Event.model_validate(event, from_attributes=True) for event in logged]
+    items = context.storage.events(job.id).read(after, limit)
     return EventPage(items=items, last_id=items[-1].id if items else after, state=job.state)

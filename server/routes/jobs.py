@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from contextlib import AsyncExitStack
-from datetime import datetime, timezone
 from typing import Annotated, Any
 
 import anyio
@@ -141,18 +140,17 @@ def list_jobs(
     """
     if owner is not None and not caller.can_see(owner):
         raise ProblemError(403, "These are another key's jobs.", "Leave `owner` out.")
-    before = cursors.decode_cursor(cursor)
     records = context.queue.newest(
         owner=caller.owner_filter if owner is None else owner,
         states=set(state) or None,
         sweep=sweep,
         method=method,
-        before=(_time(before[0]), before[1]) if before else None,
+        before=cursors.decode_cursor(cursor),
         limit=limit + 1,
     )
     page, more = records[:limit], len(records) > limit
     items = b",".join(to_json(record, context, alone=False) for record in page)
-    following = cursors.encode_cursor(_age(page[-1]), page[-1].id) if more else None
+    following = cursors.encode_cursor(*page[-1].age_and_id) if more else None
     body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())
     return Response(body, media_type="application/json")
 
@@ -264,14 +262,3 @@ def _check_startable(job: JobRecord, context: ServerContext) -> None:
             raise ProblemError(
                 409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."
             )
-
-
-def _age(record: JobRecord) -> int:
-    return round(record.created_at.timestamp() * 1000)
-
-
-def _time(milliseconds: int) -> datetime:
-    try:
-        return datetime.fromtimestamp(milliseconds / 1000, timezone.utc)
-    except (OverflowError, ValueError, OSError):
-        return datetime.max.replace(tzinfo=timezone.utc)

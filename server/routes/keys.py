@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Request, Response
+from fastapi import APIRouter, Body, Response
 from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import Key, KeyRequest, NewKey
-from chamfer_morph.server.auth import Admin, AuthenticatedRoute, Authenticator
+from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import ProblemError, not_found
 
@@ -32,7 +32,6 @@ def list_keys(caller: Admin, context: Context) -> list[Key]:
 def make_key(
     caller: Admin,
     body: Annotated[KeyRequest, Body(openapi_examples=EXAMPLES)],
-    request: Request,
     response: Response,
     context: Context,
 ) -> NewKey:
@@ -48,14 +47,14 @@ def make_key(
         raise ProblemError(
             409, f"There is a key {body.name!r} already.", "Revoke it, or choose another name."
         )
-    _authenticator(request).invalidate()
+    context.authenticator.invalidate()
     response.headers["Location"] = f"/v1/keys/{body.name}"
     key, secret = created
     return NewKey(**key.model_dump(), secret=secret)
 
 
 @router.delete("/{name}", status_code=204, operation_id="revokeKey", summary="Revoke a key")
-def revoke_key(name: str, request: Request, caller: Admin, context: Context) -> None:
+def revoke_key(name: str, caller: Admin, context: Context) -> None:
     """From now on the key is worth nothing; its jobs and meshes stay."""
     keys = {key.name: key for key in context.api_keys.all()}
     if name not in keys:
@@ -68,9 +67,4 @@ def revoke_key(name: str, request: Request, caller: Admin, context: Context) -> 
             "Revoke the others first, or make another with the scope admin.",
         )
     context.api_keys.remove(name)
-    _authenticator(request).invalidate()
-
-
-def _authenticator(request: Request) -> Authenticator:
-    authenticator: Authenticator = request.app.state.authenticator
-    return authenticator
+    context.authenticator.invalidate()

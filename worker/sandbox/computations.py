@@ -1,4 +1,8 @@
-"""What the API has computed on request: each a task in a child process; all of them block."""
+"""What the API has computed on request: each a task in a child process; all of them block.
+
+The settings limit memory and CPU time; `on_start` is called with the child, `on_progress` with the
+share that is done.
+"""
 
 from __future__ import annotations
 
@@ -55,11 +59,7 @@ def inspect_mesh(
 ) -> dict[str, Any]:
     """The ingest report of a mesh file that can be used, as it is or scaled to the domain.
 
-    Args:
-        path: The file; its suffix tells the format.
-        name: What the user calls it.
-        settings: Memory and CPU time that it may take.
-        on_start: Called with the child.
+    The suffix of the path tells the format; the name is what the user calls the file.
 
     Returns:
         `IngestReport` as JSON.
@@ -112,14 +112,7 @@ def sample_shape(
 def reconstruct_surface(
     storage: Storage, job_id: str, index: int, settings: Settings, on_start: OnStart | None = None
 ) -> None:
-    """Compute the surface of a frame that is there, and keep it.
-
-    Args:
-        storage: Where the frame is, and the surface will be.
-        job_id: The job.
-        index: Index of the frame, from 0.
-        settings: Memory and CPU time that it may take.
-        on_start: Called with the child.
+    """Compute the surface of a frame that is there, counted from 0, and keep it.
 
     Raises:
         MorphError: The particles enclose nothing, or it takes too much memory or time.
@@ -159,14 +152,7 @@ def make_export(
 ) -> None:
     """Make an export and keep it.
 
-    Args:
-        storage: Where the result is, and the export will be.
-        job_id: The job.
-        options: What to export.
-        settings: Memory and CPU time that it may take.
-        file_bytes: Disk that it may fill [bytes].
-        on_start: Called with the child.
-        on_progress: Called with the share that is done.
+    It may fill the disk by `file_bytes`.
 
     Raises:
         MorphError: It could not be made.
@@ -188,14 +174,9 @@ def make_export(
         raise
 
 
-def _limits(settings: Settings, *, file_bytes: int | None = None, threads: int = 1) -> Limits:
-    memory = settings.export_memory_bytes
-    return Limits(
-        memory,
-        settings.export_cpu_seconds,
-        file_bytes=memory if file_bytes is None else file_bytes,
-        threads=threads,
-    )
+def _limits(settings: Settings, file_bytes: int | None = None, threads: int = 1) -> Limits:
+    memory, seconds = settings.export_memory_bytes, settings.export_cpu_seconds
+    return Limits(memory, seconds, memory if file_bytes is None else file_bytes, threads)
 
 
 def _read_mesh(
