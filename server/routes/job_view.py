@@ -31,23 +31,12 @@ class _JobSnapshot(NamedTuple):
 
 
 def to_job(record: JobRecord, context: ServerContext) -> Job:
-    """A job as the API shows it.
-
-    Args:
-        record: As the queue knows it.
-        context: Where to look for its progress.
-    """
+    """A job as the API shows it."""
     return _to_job(_snapshot(record, context))
 
 
 def to_json(record: JobRecord, context: ServerContext, *, alone: bool = True) -> bytes:
-    """A job as the API shows it, in JSON.
-
-    Args:
-        record: As the queue knows it.
-        context: Where to look for its progress.
-        alone: Whether to count the jobs before it too, which takes a query.
-    """
+    """The same in JSON; where it is shown alone, a query counts the jobs before it, too."""
     return _encoded(_snapshot(record, context, alone=alone))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import Annotated, Any
 
 import anyio
@@ -72,20 +71,14 @@ async def get_surface(
         await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
         await context.surfaces.get((job.id, frame.index), compute, request)
     try:
-        etag = await anyio.to_thread.run_sync(_etag, path, format, units)
-        headers = etag_headers(etag)
+        stat = await anyio.Path(path).stat()
+        headers = etag_headers(f"{stat.st_mtime_ns:x}-{stat.st_size:x}-{format}-{units}")
         if answer := not_modified(request, headers):
             return answer
         body, report = await context.compute(_encode, job, frame.index, format, units, context)
     except FileNotFoundError:  # deleted meanwhile
         raise not_found("job", job.id) from None
     return Response(body, headers=headers | report, media_type=MEDIA_TYPES[format])
-
-
-def _etag(path: Path, format: SurfaceFormat, units: Units) -> str:
-    """The version of a surface that is there."""
-    stat = path.stat()
-    return f"{stat.st_mtime_ns:x}-{stat.st_size:x}-{format}-{units}"
 
 
 def _encode(
