@@ -16,7 +16,6 @@ from chamfer_morph.cli.option_groups import expand_groups
 from chamfer_morph.cli.options import (
     ConfigOptions,
     ForceOption,
-    MethodCommand,
     MethodOption,
     QuietOption,
     ResultFileOption,
@@ -45,7 +44,7 @@ JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="Id of a job.")]
 JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Ids of jobs.")]
 
 
-@app.command(rich_help_panel=PANEL, cls=MethodCommand)
+@app.command(rich_help_panel=PANEL)
 @expand_groups
 def submit(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=SHAPE_HELP)],
