@@ -21,6 +21,8 @@ _REMEDIES = {
     429: "Try again later.",
 }
 
+_SERVER_FAULT = "Try again later; the log of the service has more."
+
 
 class ServiceError(MorphError):
     """The service refused what was asked, or failed at it.
@@ -46,10 +48,12 @@ def refusal(response: httpx.Response) -> ServiceError:
     status = response.status_code
     document = _problem(response)
     detail = document.get("detail") or document.get("title")
-    cause = _sentence(detail or f"The service answered {status} {response.reason_phrase}")
-    remedy = _REMEDIES[NO_KEY] if status == NO_KEY else document.get("remedy")
-    remedy = remedy or _REMEDIES.get(status) or _general_remedy(status)
-    return ServiceError(cause, _sentence(remedy), status)
+    cause = detail or f"The service answered {status} {response.reason_phrase}"
+    general = _SERVER_FAULT if status >= 500 else "Change it."
+    remedy = _REMEDIES.get(status, general)
+    if status != NO_KEY:
+        remedy = document.get("remedy") or remedy
+    return ServiceError(_sentence(cause), _sentence(remedy), status)
 
 
 def unreachable(server: str, error: Exception) -> ServiceError:
@@ -71,17 +75,11 @@ def unexpected_answer(server: str) -> ServiceError:
 
 def _problem(response: httpx.Response) -> dict[str, Any]:
     """The problem document of an answer, empty if a proxy or something else wrote it."""
-    if "json" not in response.headers.get("content-type", ""):
-        return {}
     try:
         document = response.json()
     except ValueError:
         return {}
     return document if isinstance(document, dict) else {}
-
-
-def _general_remedy(status: int) -> str:
-    return "Try again later; the log of the service has more." if status >= 500 else "Change it."
 
 
 def _sentence(text: object) -> str:

@@ -7,9 +7,9 @@ from contextlib import aclosing
 
 import httpx
 from anyio import sleep
+from httpx_sse import EventSource
 
 from chamfer_morph.client.connection import Connection
-from chamfer_morph.client.event_stream import EventStreamDecoder
 from chamfer_morph.client.retry import MANY_ATTEMPTS, Attempts
 from chamfer_morph.schemas import Event, EventPage, JobState
 
@@ -44,29 +44,28 @@ async def _stream(connection: Connection, path: str, after: int) -> AsyncGenerat
     attempts = Attempts(connection.server, limit=MANY_ATTEMPTS)
     while True:
         headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": str(after)} if after else {})
-        silent = True
+        response: httpx.Response | None = None
+        loss: Exception = EOFError("the event stream broke off")
         try:
             async with connection.stream(path, headers=headers, timeout=STREAM_TIMEOUT) as response:
                 if response.status_code in _TRY_POLLING or _is_no_event_stream(response):
                     return
                 if response.is_success:
-                    stream = EventStreamDecoder()
-                    async for chunk in response.aiter_bytes():
-                        silent = False
-                        attempts.succeeded()
-                        for message in stream.feed(chunk):
+                    async for message in EventSource(response).aiter_sse():
+                        if message.data:
                             event = connection.parse(Event, message.data)
                             after = event.id
                             yield event
         except httpx.TransportError as error:
-            if silent and isinstance(error, httpx.ReadTimeout):
-                return  # something in between keeps the stream back
-            await attempts.pause_after_loss(error)
-        else:
-            if response.is_success:
-                await attempts.pause_after_loss(EOFError("the event stream broke off"))
-            else:
-                await attempts.pause_after_refusal(response)
+            loss = error
+        if response is not None and not response.is_success:
+            await attempts.pause_after_refusal(response)
+            continue
+        if response is not None and response.num_bytes_downloaded:
+            attempts.succeeded()  # comments show as well as events that the stream gets through
+        elif isinstance(loss, httpx.ReadTimeout):
+            return  # something in between keeps the stream back
+        await attempts.pause_after_loss(loss)
 
 
 async def _poll(connection: Connection, path: str, after: int) -> AsyncGenerator[Event, None]:

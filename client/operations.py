@@ -88,22 +88,43 @@ class Operations:
         Raises:
             MeshError: The file cannot be read.
         """
-        return await self._upload(Path(path))
+        path = Path(path)
+        try:
+            digest, size = file_sha256(path), path.stat().st_size
+        except OSError as error:
+            raise MeshError(
+                f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
+            ) from error
+        try:
+            return await self._get(Mesh, "meshes", digest)
+        except ServiceError as error:
+            if error.status != 404:
+                raise
+        answer = await self._connection.send(
+            "POST",
+            "/meshes",
+            params={"name": path.name},
+            content=FileContent(path),
+            headers={"Content-Type": "application/octet-stream", "Content-Length": str(size)},
+            timeout=UPLOAD_TIMEOUT,
+            repeatable=True,
+        )
+        return self._connection.parse(Mesh, answer.content)
 
     @operation
     def meshes(self) -> AsyncGenerator[Mesh, None]:
         """Your meshes, the newest first."""
-        return self._pages(MeshPage, "/meshes")
+        return self._pages(MeshPage, "meshes")
 
     @operation
     async def mesh(self, mesh_id: str) -> Mesh:
         """One mesh."""
-        return await self._get(Mesh, _path("meshes", mesh_id))
+        return await self._get(Mesh, "meshes", mesh_id)
 
     @operation
     async def delete_mesh(self, mesh_id: str) -> None:
         """Delete a mesh that no unfinished job uses."""
-        await self._connection.send("DELETE", _path("meshes", mesh_id))
+        await self._delete("meshes", mesh_id)
 
     # jobs
 
@@ -161,9 +182,8 @@ class Operations:
             priority=priority,
             timeout_seconds=timeout_seconds,
         )
-        return await self._post(
-            Job, "/jobs", body, idempotency_key=idempotency_key or str(uuid.uuid4())
-        )
+        key = idempotency_key or str(uuid.uuid4())
+        return await self._post(Job, "jobs", body=body, idempotency_key=key)
 
     @operation
     def jobs(
@@ -175,8 +195,7 @@ class Operations:
         owner: str | None = None,
     ) -> AsyncGenerator[Job, None]:
         """Jobs, the newest first; page after page is fetched as you iterate."""
-        query = {"state": state, "method": method, "sweep": sweep, "owner": owner}
-        return self._pages(JobPage, "/jobs", **query)
+        return self._pages(JobPage, "jobs", state=state, method=method, sweep=sweep, owner=owner)
 
     @operation
     async def job(self, job_id: str, *, wait_for_service: bool = False) -> Job:
@@ -186,27 +205,27 @@ class Operations:
             job_id: The job.
             wait_for_service: Wait about a minute for a service that is away.
         """
-        return await self._get(Job, _path("jobs", job_id), wait_for_service=wait_for_service)
+        return await self._get(Job, "jobs", job_id, wait_for_service=wait_for_service)
 
     @operation
     async def cancel(self, job_id: str) -> Job:
         """Stop a job; its finished frames stay."""
-        return await self._post(Job, _path("jobs", job_id, "cancel"), repeatable=True)
+        return await self._post(Job, "jobs", job_id, "cancel", repeatable=True)
 
     @operation
     async def resume(self, job_id: str) -> Job:
         """Let a job that did not succeed go on after its last finished frame."""
-        return await self._post(Job, _path("jobs", job_id, "resume"))
+        return await self._post(Job, "jobs", job_id, "resume")
 
     @operation
     async def retry(self, job_id: str) -> Job:
         """Compute a finished job again from its beginning."""
-        return await self._post(Job, _path("jobs", job_id, "retry"))
+        return await self._post(Job, "jobs", job_id, "retry")
 
     @operation
     async def delete(self, job_id: str) -> None:
         """Delete a finished job and its result."""
-        await self._connection.send("DELETE", _path("jobs", job_id))
+        await self._delete("jobs", job_id)
 
     @operation
     def events(self, job_id: str, *, after: int = 0) -> AsyncGenerator[Event, None]:
@@ -225,7 +244,7 @@ class Operations:
         """The job once it is finished, however it ended."""
         async for _ in follow(self._connection, _path("jobs", job_id, "events"), after=0):
             pass
-        return await self._get(Job, _path("jobs", job_id), wait_for_service=True)
+        return await self._get(Job, "jobs", job_id, wait_for_service=True)
 
     # results
 
@@ -253,17 +272,17 @@ class Operations:
             job_id: The job, which may still run.
             index: 0-based; -1 is the last one finished.
         """
-        return await self._get_points(_path("jobs", job_id, "frames", str(index)))
+        return await self._get_points("jobs", job_id, "frames", str(index))
 
     @operation
     async def source(self, job_id: str) -> NDArray[np.float32]:
         """Particle positions before the first frame [dx], shape [particle_count, 3], float32."""
-        return await self._get_points(_path("jobs", job_id, "source"))
+        return await self._get_points("jobs", job_id, "source")
 
     @operation
     async def target(self, job_id: str) -> NDArray[np.float32]:
         """Target points [dx], shape [target_count, 3], float32."""
-        return await self._get_points(_path("jobs", job_id, "target"))
+        return await self._get_points("jobs", job_id, "target")
 
     @operation
     async def field(self, job_id: str, name: str, index: int = -1) -> NDArray[np.float32]:
@@ -349,32 +368,31 @@ class Operations:
             units=units,
             fields=list(fields),
         )
-        path_of_exports = _path("jobs", job_id, "exports")
-        export = await self._post(Export, path_of_exports, body, repeatable=True)
+        exports = ("jobs", job_id, "exports")
+        export = await self._post(Export, *exports, body=body, repeatable=True)
         while export.state == "running":
             await sleep(EXPORT_SECONDS)
             try:
-                export = await self._get(Export, _path("jobs", job_id, "exports", export.id))
+                export = await self._get(Export, *exports, export.id)
             except ServiceError as error:
                 if error.status != 404:
                     raise
                 # a restart has ended it: the same request is the same export
-                export = await self._post(Export, path_of_exports, body, repeatable=True)
+                export = await self._post(Export, *exports, body=body, repeatable=True)
         if export.problem is not None:
             raise ResultError(export.problem.cause, export.problem.remedy)
-        exported = _path("jobs", job_id, "exports", export.id, "file")
-        await download(self._connection, exported, Path(path))
+        await download(self._connection, _path(*exports, export.id, "file"), Path(path))
         return Path(path)
 
     @operation
     async def metrics(self, job_id: str) -> list[dict[str, float]]:
         """Metrics of every finished frame, and what each took [s]."""
-        return await self._get(list[dict[str, float]], _path("jobs", job_id, "metrics"))
+        return await self._get(list[dict[str, float]], "jobs", job_id, "metrics")
 
     @operation
     async def config(self, job_id: str) -> dict[str, Any]:
         """The resolved configuration of a job."""
-        return await self._get(dict[str, Any], _path("jobs", job_id, "config"))
+        return await self._get(dict[str, Any], "jobs", job_id, "config")
 
     @operation
     async def log(self, job_id: str) -> str:
@@ -415,9 +433,8 @@ class Operations:
             priority=priority,
             timeout_seconds=timeout_seconds,
         )
-        return await self._post(
-            Sweep, "/sweeps", body, idempotency_key=idempotency_key or str(uuid.uuid4())
-        )
+        key = idempotency_key or str(uuid.uuid4())
+        return await self._post(Sweep, "sweeps", body=body, idempotency_key=key)
 
     @operation
     async def sweep_status(self, sweep_id: str, *, wait_for_service: bool = False) -> Sweep:
@@ -427,34 +444,34 @@ class Operations:
             sweep_id: The sweep.
             wait_for_service: Wait about a minute for a service that is away.
         """
-        return await self._get(Sweep, _path("sweeps", sweep_id), wait_for_service=wait_for_service)
+        return await self._get(Sweep, "sweeps", sweep_id, wait_for_service=wait_for_service)
 
     # what there is to choose from
 
     @operation
     async def presets(self) -> list[Resource]:
         """The presets of the service."""
-        return await self._get(list[Resource], "/presets")
+        return await self._get(list[Resource], "presets")
 
     @operation
     async def methods(self) -> list[Resource]:
         """The methods of the service."""
-        return await self._get(list[Resource], "/methods")
+        return await self._get(list[Resource], "methods")
 
     @operation
     async def shapes(self) -> list[Resource]:
         """The built-in shapes of the service."""
-        return await self._get(list[Resource], "/shapes")
+        return await self._get(list[Resource], "shapes")
 
     @operation
     async def fields(self) -> list[ParticleField]:
         """What particles can be coloured by."""
-        return await self._get(list[ParticleField], "/fields")
+        return await self._get(list[ParticleField], "fields")
 
     @operation
     async def export_formats(self) -> list[ExportFormat]:
         """What jobs can be exported to."""
-        return await self._get(list[ExportFormat], "/exports/formats")
+        return await self._get(list[ExportFormat], "exports", "formats")
 
     @operation
     async def particles(
@@ -472,66 +489,66 @@ class Operations:
         """
         known = await self._shape(shape)
         place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
-        path = _path(*place, "particles")
-        return await self._get_points(path, points_per_cell_edge=points_per_cell_edge, fit=fit)
+        query = {"points_per_cell_edge": points_per_cell_edge, "fit": fit}
+        return await self._get_points(*place, "particles", **query)
 
     # administration
 
     @operation
     async def keys(self) -> list[Key]:
         """The API keys, without their secrets."""
-        return await self._get(list[Key], "/keys")
+        return await self._get(list[Key], "keys")
 
     @operation
     async def create_key(self, name: str, scopes: Iterable[str] = ("read", "submit")) -> NewKey:
         """A new API key; its secret is shown this once."""
         body = _validated(KeyRequest, name=name, scopes=list(scopes))
-        return await self._post(NewKey, "/keys", body)
+        return await self._post(NewKey, "keys", body=body)
 
     @operation
     async def delete_key(self, name: str) -> None:
         """Delete an API key; it is refused from then on."""
-        await self._connection.send("DELETE", _path("keys", name))
+        await self._delete("keys", name)
 
     @operation
     async def workers(self) -> list[WorkerStatus]:
         """The worker slots."""
-        return await self._get(list[WorkerStatus], "/workers")
+        return await self._get(list[WorkerStatus], "workers")
 
     @operation
     async def pause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a worker finish its job and start no other."""
-        return await self._post(WorkerStatus, _path("workers", worker_id, "pause"), repeatable=True)
+        return await self._post(WorkerStatus, "workers", worker_id, "pause", repeatable=True)
 
     @operation
     async def unpause_worker(self, worker_id: str) -> WorkerStatus:
         """Let a paused worker start jobs again."""
-        return await self._post(
-            WorkerStatus, _path("workers", worker_id, "unpause"), repeatable=True
-        )
+        return await self._post(WorkerStatus, "workers", worker_id, "unpause", repeatable=True)
 
     # how requests are sent
 
-    async def _get(
-        self, type_: type[T], path: str, *, wait_for_service: bool = False, **query: Any
-    ) -> T:
-        answer = await self._connection.get(path, wait_for_service=wait_for_service, **query)
+    async def _get(self, type_: type[T], *path: str, **options: Any) -> T:
+        answer = await self._connection.get(_path(*path), **options)
         return self._connection.parse(type_, answer.content)
 
-    async def _get_points(self, path: str, **query: Any) -> NDArray[np.float32]:
+    async def _get_points(self, *path: str, **query: Any) -> NDArray[np.float32]:
         import numpy as np
 
-        answer = await self._connection.get(path, timeout=COMPUTING_TIMEOUT, format="npy", **query)
+        answer = await self._connection.get(
+            _path(*path), timeout=COMPUTING_TIMEOUT, format="npy", **query
+        )
         points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)
         return points
 
     async def _pages(
-        self, page_type: type[Any], path: str, **query: Any
+        self, page_type: type[Any], *path: str, **query: Any
     ) -> AsyncGenerator[Any, None]:
         """The items of page after page, each of which is fetched when it is needed."""
         cursor: str | None = ""
         while cursor is not None:
-            page = await self._get(page_type, path, limit=PAGE_SIZE, cursor=cursor or None, **query)
+            page = await self._get(
+                page_type, *path, limit=PAGE_SIZE, cursor=cursor or None, **query
+            )
             for item in page.items:
                 yield item
             cursor = page.next_cursor
@@ -539,9 +556,8 @@ class Operations:
     async def _post(
         self,
         type_: type[T],
-        path: str,
+        *path: str,
         body: BaseModel | None = None,
-        *,
         repeatable: bool = False,
         idempotency_key: str | None = None,
     ) -> T:
@@ -550,35 +566,15 @@ class Operations:
             headers["Idempotency-Key"] = idempotency_key
         answer = await self._connection.send(
             "POST",
-            path,
+            _path(*path),
             content=body.model_dump_json() if body else None,
             headers=headers,
             repeatable=repeatable or idempotency_key is not None,
         )
         return self._connection.parse(type_, answer.content)
 
-    async def _upload(self, path: Path) -> Mesh:
-        try:
-            digest, size = file_sha256(path), path.stat().st_size
-        except OSError as error:
-            raise MeshError(
-                f"{path} cannot be read ({error.strerror}).", "Check the path of the mesh."
-            ) from error
-        try:
-            return await self._get(Mesh, _path("meshes", digest))
-        except ServiceError as error:
-            if error.status != 404:
-                raise
-        answer = await self._connection.send(
-            "POST",
-            "/meshes",
-            params={"name": path.name},
-            content=FileContent(path),
-            headers={"Content-Type": "application/octet-stream", "Content-Length": str(size)},
-            timeout=UPLOAD_TIMEOUT,
-            repeatable=True,
-        )
-        return self._connection.parse(Mesh, answer.content)
+    async def _delete(self, *path: str) -> None:
+        await self._connection.send("DELETE", _path(*path))
 
     async def _shape(self, source: ShapeLike) -> Shape:
         """The shape that a user named by a file, which is uploaded, or by a name."""
@@ -586,7 +582,7 @@ class Operations:
             return source
         if isinstance(source, str) and not _is_file(source):
             return BuiltInShape(shape=source)
-        return MeshShape(mesh=(await self._upload(Path(source))).id)
+        return MeshShape(mesh=(await Operations.upload_mesh(self, source)).id)
 
 
 def _path(*segments: str) -> str:

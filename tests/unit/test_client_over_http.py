@@ -302,6 +302,30 @@ def test_events_of_a_job_that_began_anew_are_followed():
     assert requests[2][2]["Last-Event-ID"] == "1"
 
 
+def test_what_holds_a_stream_open_is_no_event():
+    """Comments, a message without data, text beyond ASCII, and a message that is cut off."""
+    first, last = event(1, message="\u2028 is no line end"), event(2, "state", state="succeeded")
+    text = (
+        f": a comment\r\nretry: 1000\n\nid: 1\ndata: {json.dumps(first, ensure_ascii=False)}\n\n"
+        f": another\n\ndata:\n\nid: 2\nevent: state\ndata: {json.dumps(last)}"
+    )
+    status, headers, _ = stream()
+    answers = (status, headers, text.encode()), stream(last)
+    with serving(*answers) as (server, requests), MorphClient(server) as client:
+        seen = [(each.id, each.data) for each in client.events(JOB_ID)]
+    assert seen == [(1, first["data"]), (2, last["data"])]
+    assert requests[1][2]["Last-Event-ID"] == "1"
+
+
+def test_a_stream_of_comments_alone_is_waited_for():
+    """Whoever waits in a long queue sees no event; streams that are cut now and then go on."""
+    status, headers, _ = stream()
+    quiet = [(status, headers, b": nothing yet\n\n")] * (retry.MANY_ATTEMPTS + 3)
+    last = stream(event(1, "state", state="succeeded"))
+    with serving(*quiet, last) as (server, _), MorphClient(server) as client:
+        assert [each.id for each in client.events(JOB_ID)] == [1]
+
+
 @pytest.mark.parametrize("answer", [problem(429), problem(406), as_json({"items": []})])
 def test_events_are_polled_where_streams_are_not_to_be_had(answer):
     """Too many watchers, or something in between that knows no streams."""
