@@ -12,33 +12,20 @@ from typer.main import get_group
 
 from chamfer_morph.cli.exit_status import exit_status
 
-COMMANDS = {
-    "run": "run",
-    "rerun": "run",
-    "methods": "methods",
-    "shapes": "shapes",
-    "presets": "methods",
-    "inspect": "shapes",
-    "metrics": "shapes",
-    "bench": "benchmarks",
-    "reproduce": "reproduction",
-    "export": "exports",
-    "render": "exports",
-    "submit": "jobs",
-    "jobs": "jobs",
-    "show": "jobs",
-    "watch": "jobs",
-    "cancel": "jobs",
-    "retry": "jobs",
-    "resume": "jobs",
-    "delete": "jobs",
-    "fetch": "jobs",
-    "sweep": "sweeps",
-    "serve": "processes",
-    "worker": "processes",
-    "keys": "service",
-    "workers": "service",
+_MODULES = {
+    "run": ("run", "rerun"),
+    "catalog": ("methods", "shapes", "presets"),
+    "measurement": ("inspect", "metrics"),
+    "benchmarks": ("bench",),
+    "reproduction": ("reproduce",),
+    "exports": ("export", "render"),
+    "jobs": ("submit", "jobs", "show", "watch", "cancel", "retry", "resume", "delete", "fetch"),
+    "sweeps": ("sweep",),
+    "processes": ("serve", "worker"),
+    "service": ("keys", "workers"),
 }
+
+COMMANDS = {name: module for module, names in _MODULES.items() for name in names}
 """The module of each command, in the order of the help."""
 
 

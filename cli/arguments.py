@@ -58,12 +58,9 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
-    """Refuse to write where something is already, or where there is no folder.
+    """Refuse to write where something is already, or where there is no folder to write in.
 
-    Args:
-        out: Where to write.
-        force: Whether what is there may be replaced.
-        folder: Whether a folder that is there will do.
+    With `force` it may be replaced; with `folder` a folder that is there will do.
 
     Raises:
         ResultError: It cannot be written there.

@@ -22,13 +22,8 @@ JOB_FAILED = 1
 def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool) -> int:
     """Run a command to its exit status; whatever it raises becomes a message, not a traceback.
 
-    Args:
-        command: The command; returns its exit status, None for success.
-        as_json: Report errors as one JSON object on standard output too.
-        debug: Let an unexpected exception through with its traceback.
-
-    Returns:
-        0, or 2 for input a user can mend, 3 without the service, 1 for a fault of the program.
+    It is 0, or 2 for input a user can mend, 3 without the service, 1 for a fault of the program,
+    which `debug` lets through. With `as_json` errors go to standard output, too.
     """
     problem: MorphError
     try:

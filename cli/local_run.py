@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,11 @@ import numpy as np
 import psutil
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.interrupt import at_interrupt
+from chamfer_morph.cli.options import ExecutionOptions
+from chamfer_morph.cli.output import print_json
 from chamfer_morph.cli.progress_display import RunDisplay
+from chamfer_morph.cli.tables import print_summary
 from morph_engine import morphing
-from morph_engine.device import Device
 from morph_engine.errors import ResultError
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.run_record import Json, RunRecord, software_versions
@@ -64,36 +64,13 @@ class Summary:
         }
 
 
-def run(
-    record: RunRecord,
-    out: Path,
-    *,
-    device: Device,
-    threads: int,
-    resume: bool = False,
-    force: bool = False,
-    quiet: bool = False,
-    on_interrupt: Callable[[Summary], None],
-) -> Summary:
+def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
     """Run to the end, or to Ctrl-C; either way the finished frames are in the result file.
-
-    Args:
-        record: What to run.
-        out: The result file.
-        device: Where to compute.
-        threads: CPU threads; 0 takes every core.
-        resume: Go on with the unfinished run of `out`.
-        force: Replace a result or an unfinished run.
-        quiet: Show no progress.
-        on_interrupt: Says what the run has come to, before Ctrl-C ends the process.
-
-    Returns:
-        What it has come to.
 
     Raises:
         MorphError: The result file is there already, or as `morphing.run`.
     """
-    if out.exists() and not (resume or force):
+    if out.exists() and not (execution.resume or execution.force):
         resumable = "continue it with --resume, " if spool_path(out).exists() else ""
         raise ResultError(
             f"{out} is there already.",
@@ -102,11 +79,20 @@ def run(
     summary = Summary(record, out)
     last = record.config.frames - 1
     frames = morphing.run(
-        record, device=device, threads=threads, out=out, resume=resume, overwrite=force
+        record,
+        device=execution.device,
+        threads=execution.threads,
+        out=out,
+        resume=execution.resume,
+        overwrite=execution.force,
     )
+
+    def stop() -> None:
+        report(write_partial_result(record, out), as_json=execution.as_json)
+
     with (
-        at_interrupt(lambda: on_interrupt(write_partial_result(record, out))),
-        RunDisplay(last + 1, quiet=quiet) as display,
+        interrupt.at_interrupt(stop),
+        RunDisplay(last + 1, quiet=execution.quiet) as display,
     ):
         for frame in frames:
             summary.frames = frame.index + 1
@@ -134,6 +120,20 @@ def write_partial_result(record: RunRecord, out: Path) -> Summary:
             write_result(spool, status="partial")
         metrics = spool.metrics(count - 1) if count else {}
         return Summary(record, out, count, metrics, spool.events, interrupted=True)
+
+
+def report(summary: Summary, *, as_json: bool, **more: float) -> None:
+    """Print what a run has come to."""
+    if as_json:
+        print_json(summary.document() | more)
+    elif summary.frames:
+        print_summary(summary.document())
+    sys.stdout.flush()
+    if summary.interrupted:
+        interrupt.report(
+            f"Stopped by Ctrl-C after {summary.frames} frames.",
+            "Continue with the same command and --resume.",
+        )
 
 
 def record_to_rerun(result: Path) -> RunRecord:

@@ -89,6 +89,18 @@ class ConfigOptions:
 
 
 @dataclass(frozen=True)
+class ExecutionOptions:
+    """How a run is computed on this machine."""
+
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished run.")] = False
+    force: Annotated[bool, typer.Option("--force", help="Replace a result.")] = False
+    device: DeviceOption = "auto"
+    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 takes every core.")] = 0
+    quiet: QuietOption = False
+    as_json: JsonOption = False
+
+
+@dataclass(frozen=True)
 class SubmissionOptions:
     """How the service is to compute a job."""
 

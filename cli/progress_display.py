@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
@@ -21,12 +20,7 @@ Self = TypeVar("Self", bound="ProgressDisplay")
 
 
 class ProgressDisplay:
-    """A live display on a terminal; elsewhere only the lines of `print`.
-
-    Args:
-        columns: What a line of the display is made of.
-        quiet: Show nothing.
-    """
+    """A live display on a terminal, of lines of these columns; elsewhere the lines of `print`."""
 
     def __init__(self, *columns: ProgressColumn, quiet: bool) -> None:
         self._console = Console(file=sys.stderr, quiet=quiet, highlight=False)
@@ -41,12 +35,7 @@ class ProgressDisplay:
         self._progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         self._progress.stop()
 
     def print(self, text: str) -> None:
@@ -63,10 +52,6 @@ class RunDisplay(ProgressDisplay):
     """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.
 
     On a terminal it is one live line; elsewhere each frame is a line of its own.
-
-    Args:
-        frame_count: Frames of the whole run.
-        quiet: Show nothing.
     """
 
     def __init__(self, frame_count: int, *, quiet: bool = False) -> None:
@@ -87,22 +72,11 @@ class RunDisplay(ProgressDisplay):
         self.advance(frame.index, frame.metrics, frame.seconds)
 
     def describe(self, text: str, *, done: int | None = None) -> None:
-        """Show what goes on, on a terminal only.
-
-        Args:
-            text: What goes on.
-            done: How much of the whole is finished, if that has changed.
-        """
+        """Show on a terminal what goes on and, where it has changed, how much is finished."""
         self._progress.update(self._task, description=text, completed=done)
 
     def advance(self, index: int, metrics: Mapping[str, float], seconds: float) -> None:
-        """Show that a frame is finished.
-
-        Args:
-            index: 0-based frame index.
-            metrics: Its metrics.
-            seconds: Time it took [s]; 0 for a frame of a resumed run that was there already.
-        """
+        """Show that a frame is finished; it took 0 s if it was there before a resumed run."""
         done = index + 1
         text = format_losses(metrics)
         if seconds:

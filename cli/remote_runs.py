@@ -12,7 +12,7 @@ from chamfer_morph.reproduction.meshes import SUFFIX, MeshFolder
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.runner import Progress, ProgressCallback, known_records
 from chamfer_morph.reproduction.runs.store import Record, Store, record_from_result
-from chamfer_morph.schemas import Job, JobState, MeshShape, Shape
+from chamfer_morph.schemas import Job, JobState, MeshShape
 from morph_engine.errors import ResultError
 from morph_engine.results.trajectory import Trajectory
 
@@ -69,14 +69,15 @@ def execute_remotely(
     return known | progress.finished
 
 
-def _upload(client: MorphClient, runs: Sequence[Run], meshes: MeshFolder) -> dict[str, str]:
-    """Upload the meshes of runs; ids of meshes by name."""
+def _upload(client: MorphClient, runs: Sequence[Run], meshes: MeshFolder) -> dict[str, MeshShape]:
+    """Upload the meshes of runs; shapes by name."""
     names = sorted({name for run in runs for name in run.shapes if name.endswith(SUFFIX)})
-    return {name: client.upload_mesh(Path(meshes.locate(name))).id for name in names}
+    uploaded = {name: client.upload_mesh(Path(meshes.locate(name))) for name in names}
+    return {name: MeshShape(mesh=mesh.id) for name, mesh in uploaded.items()}
 
 
-def _submit(client: MorphClient, run: Run, uploaded: dict[str, str], digest: str) -> Job:
-    source, target = (_shape(name, uploaded) for name in run.shapes)
+def _submit(client: MorphClient, run: Run, meshes: dict[str, MeshShape], digest: str) -> Job:
+    source, target = (meshes.get(name, name) for name in run.shapes)
     job = client.submit(
         source,
         target,
@@ -87,10 +88,6 @@ def _submit(client: MorphClient, run: Run, uploaded: dict[str, str], digest: str
     )
     stopped = (JobState.FAILED, JobState.CANCELLED, JobState.TIMED_OUT)
     return client.resume(job.id) if job.state in stopped else job
-
-
-def _shape(name: str, uploaded: dict[str, str]) -> Shape | str:
-    return MeshShape(mesh=uploaded[name]) if name in uploaded else name
 
 
 def _fetch(client: MorphClient, job: Job, run: Run, digest: str, store: Store) -> Record:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pydantic.fields import FieldInfo
 
-    from chamfer_morph.schemas import Job, Outcome, Sweep
+    from chamfer_morph.schemas import Job, JobState, Outcome, Sweep
     from morph_engine.config import MorphConfig
     from morph_engine.ingest import IngestReport
 
@@ -48,6 +48,11 @@ def format_size(byte_count: float) -> str:
     if megabytes < 1:
         return f"{byte_count / 1e3:.0f} kB"
     return f"{megabytes / 1e3:.1f} GB" if megabytes >= 1000 else f"{megabytes:.0f} MB"
+
+
+def format_counts(counts: Mapping[JobState, int]) -> str:
+    """How many jobs are in which state: 3 succeeded, 1 running."""
+    return ", ".join(f"{count} {state.value}" for state, count in counts.items() if count)
 
 
 def print_report(report: IngestReport) -> None:
@@ -276,8 +281,7 @@ def print_sweep(sweep: Sweep) -> None:
             for row in sweep.rows
         ),
     )
-    counts = ", ".join(f"{count} {state.value}" for state, count in sweep.counts.items() if count)
-    sys.stdout.write(f"\nsweep {sweep.id}: {counts}\n")
+    sys.stdout.write(f"\nsweep {sweep.id}: {format_counts(sweep.counts)}\n")
 
 
 def _local_time(time: datetime | None) -> str:

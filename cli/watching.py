@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import Any
 
 from chamfer_morph.cli import interrupt
 from chamfer_morph.cli.output import print_json
 from chamfer_morph.cli.progress_display import RunDisplay
+from chamfer_morph.cli.tables import format_counts
 from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import Event, Job, JobState, Sweep
 
@@ -17,11 +16,7 @@ POLL_SECONDS = 1.0
 
 
 def watch_job(client: MorphClient, job: Job, *, quiet: bool, as_json: bool) -> Job:
-    """Show a job until it is finished.
-
-    Returns:
-        The job as it ended.
-    """
+    """Show a job until it is finished; returns it as it ended."""
     with (
         _leaving_at_interrupt("job", job.id, "watch", as_json=as_json),
         RunDisplay(job.progress.frames, quiet=quiet) as display,
@@ -33,11 +28,7 @@ def watch_job(client: MorphClient, job: Job, *, quiet: bool, as_json: bool) -> J
 
 
 def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool, as_json: bool) -> Sweep:
-    """Show a sweep until all of its jobs are finished.
-
-    Returns:
-        The sweep as it ended.
-    """
+    """Show a sweep until all of its jobs are finished; returns it as it ended."""
     with (
         _leaving_at_interrupt("sweep", sweep.id, "sweep", as_json=as_json),
         RunDisplay(len(sweep.rows), quiet=quiet) as display,
@@ -51,7 +42,7 @@ def watch_sweep(client: MorphClient, sweep: Sweep, *, quiet: bool, as_json: bool
                     known[row.job] = row.state
                     what = f"{row.source} to {row.target}, {row.method}, seed {row.seed}"
                     display.print(f"{row.state.value}: {what} ({row.job})")
-            display.describe(_counts(sweep.counts), done=len(known))
+            display.describe(format_counts(sweep.counts), done=len(known))
     return sweep
 
 
@@ -76,8 +67,7 @@ def _wait_for_start(client: MorphClient, job: Job, display: RunDisplay) -> None:
     while job.state is JobState.QUEUED:
         if job.queue_position != before:
             before = job.queue_position
-            text = f"queued, {before} before it" if before else "queued"
-            display.describe(text)
+            display.describe(f"queued, {before} before it" if before else "queued")
         time.sleep(POLL_SECONDS / 4)
         job = client.job(job.id, wait_for_service=True)
     display.describe("preparing")
@@ -93,7 +83,3 @@ def _show(event: Event, display: RunDisplay) -> None:
         display.print(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
     elif event.type == "problem" and data["retry"]:
         display.print(f"{data['cause']} It is tried again.")
-
-
-def _counts(counts: Mapping[JobState, Any]) -> str:
-    return "  ".join(f"{count} {state.value}" for state, count in counts.items() if count)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -115,34 +114,6 @@ def watch(job_id: JobArgument, *, quiet: QuietOption = False, service: ServiceOp
 
 @app.command(rich_help_panel=PANEL)
 @expand_groups
-def cancel(job_ids: JobArguments, service: ServiceOptions) -> None:
-    """Stop jobs; their finished frames stay."""
-    _for_each(job_ids, service, lambda client, job_id: client.cancel(job_id))
-
-
-@app.command(rich_help_panel=PANEL)
-@expand_groups
-def retry(job_ids: JobArguments, service: ServiceOptions) -> None:
-    """Compute finished jobs again from the beginning; what they left is deleted."""
-    _for_each(job_ids, service, lambda client, job_id: client.retry(job_id))
-
-
-@app.command(rich_help_panel=PANEL)
-@expand_groups
-def resume(job_ids: JobArguments, service: ServiceOptions) -> None:
-    """Let cancelled or failed jobs go on after their last finished frame."""
-    _for_each(job_ids, service, lambda client, job_id: client.resume(job_id))
-
-
-@app.command(rich_help_panel=PANEL)
-@expand_groups
-def delete(job_ids: JobArguments, service: ServiceOptions) -> None:
-    """Delete finished jobs and their results."""
-    _for_each(job_ids, service, lambda client, job_id: client.delete(job_id))
-
-
-@app.command(rich_help_panel=PANEL)
-@expand_groups
 def fetch(
     job_id: JobArgument,
     *,
@@ -182,40 +153,43 @@ def _report_interrupted_submission(key: str) -> None:
     )
 
 
-def _for_each(
-    job_ids: list[str],
-    service: ServiceOptions,
-    apply: Callable[[MorphClient, str], Job | None],
-) -> None:
-    """Do something with each job; one that is refused does not keep the others from it.
+def _add_command(name: str, help: str) -> None:
+    """Add the command that does with each job what the client's method of its name does.
 
-    Exits with 2 if any was refused.
-
-    Raises:
-        ServiceError: The service does not answer.
+    One that is refused does not keep the others from it; the exit status is 2 then.
     """
-    from chamfer_morph.client.errors import ServiceError
 
-    done: list[dict[str, Any]] = []
-    refused: list[tuple[str, MorphError]] = []
-    with service.connect() as client:
-        for job_id in job_ids:
-            try:
-                job = apply(client, job_id)
-            except ServiceError as error:
-                if error.exit_status != BAD_INPUT:
-                    raise
-                refused.append((job_id, error))
-            else:
-                deleted = {"id": job_id, "state": "deleted"}
-                done.append(job.model_dump(mode="json") if job else deleted)
-    if service.as_json:
-        errors = [{"job": job_id} | error_document(problem) for job_id, problem in refused]
-        print_json({"jobs": done, "errors": errors})
-    else:
-        for document in done:
-            typer.echo(f"{document['id']}  {document['state']}")
-    for _, problem in refused:
-        sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
-    if refused:
-        raise typer.Exit(BAD_INPUT)
+    @app.command(name, help=help, rich_help_panel=PANEL)
+    @expand_groups
+    def command(job_ids: JobArguments, service: ServiceOptions) -> None:
+        from chamfer_morph.client.errors import ServiceError
+
+        done: list[dict[str, Any]] = []
+        refused: list[tuple[str, MorphError]] = []
+        with service.connect() as client:
+            for job_id in job_ids:
+                try:
+                    job = getattr(client, name)(job_id)
+                except ServiceError as error:
+                    if error.exit_status != BAD_INPUT:
+                        raise
+                    refused.append((job_id, error))
+                else:
+                    deleted = {"id": job_id, "state": "deleted"}
+                    done.append(job.model_dump(mode="json") if job else deleted)
+        if service.as_json:
+            errors = [{"job": job_id} | error_document(problem) for job_id, problem in refused]
+            print_json({"jobs": done, "errors": errors})
+        else:
+            for document in done:
+                typer.echo(f"{document['id']}  {document['state']}")
+        for _, problem in refused:
+            sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
+        if refused:
+            raise typer.Exit(BAD_INPUT)
+
+
+_add_command("cancel", "Stop jobs; their finished frames stay.")
+_add_command("retry", "Compute finished jobs again from the beginning; what they left is deleted.")
+_add_command("resume", "Let cancelled or failed jobs go on after their last finished frame.")
+_add_command("delete", "Delete finished jobs and their results.")

@@ -55,7 +55,7 @@ def test_a_command_imports_its_own_module_only():
     code = "import sys, chamfer_morph.cli.app as c; c.app(['shapes'], standalone_mode=False); "
     code += "sys.exit(' '.join(name for name in sys.modules if '.cli.commands.' in name))"
     outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert outcome.stderr.split() == ["chamfer_morph.cli.commands.shapes"]
+    assert outcome.stderr.split() == ["chamfer_morph.cli.commands.catalog"]
 
 
 def test_every_command_is_where_the_table_says():

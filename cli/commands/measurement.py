@@ -1,4 +1,4 @@
-"""Commands on shapes and meshes: list, inspect, measure."""
+"""Commands that measure meshes and particles: inspect and metrics."""
 
 from __future__ import annotations
 
@@ -13,15 +13,6 @@ from chamfer_morph.cli.tables import print_metrics, print_report
 from morph_engine.errors import MorphError
 
 app: typer.Typer = typer.Typer()
-
-
-@app.command()
-def shapes(as_json: JsonOption = False) -> None:
-    """List the built-in shapes; text:HELLO makes extruded letters of any string."""
-    from morph_engine.geometry.shapes import names
-
-    text = "\n".join((*names(), "text:ANY STRING"))
-    print_result({"shapes": list(names())}, text, as_json=as_json)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Commands that list what there is to choose from: methods and presets."""
+"""Commands that list what there is to choose from: methods, shapes and presets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from chamfer_morph.cli.options import JsonOption, MethodOption
-from chamfer_morph.cli.output import print_json
+from chamfer_morph.cli.output import print_json, print_result
 
 app: typer.Typer = typer.Typer()
 
@@ -23,6 +23,15 @@ def methods(as_json: JsonOption = False) -> None:
         print_json({"methods": rows})
     else:
         print_table(("method", "what it does"), rows.items())
+
+
+@app.command()
+def shapes(as_json: JsonOption = False) -> None:
+    """List the built-in shapes; text:HELLO makes extruded letters of any string."""
+    from morph_engine.geometry.shapes import names
+
+    text = "\n".join((*names(), "text:ANY STRING"))
+    print_result({"shapes": list(names())}, text, as_json=as_json)
 
 
 @app.command()
