@@ -29,17 +29,9 @@ def execute_remotely(
 ) -> dict[str, Record]:
     """Have the runs that are not in the store yet computed by a service.
 
-    A repeated call meets the jobs of the first one; those that did not succeed go on.
-
-    Args:
-        client: Of the service.
-        runs: What is wanted.
-        store: Where results are and go.
-        meshes: Where meshes are; each is uploaded once.
-        on_progress: Told how far it is, every few seconds.
-
-    Returns:
-        The records of all runs by id, failed ones included.
+    A repeated call meets the jobs of the first one; those that did not succeed go on. Each mesh is
+    uploaded once, and progress is reported every few seconds. Returns the records of all runs by
+    id, failed ones included.
 
     Raises:
         MorphError: A mesh is missing, or the service refuses or does not answer.

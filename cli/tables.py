@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from rich.console import Console
@@ -126,10 +127,8 @@ def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
 def _setting(config: MorphConfig, path: str) -> str:
     if path == "method":
         return config.method.name
-    first, *names = path.split(".")
-    value: object = getattr(config if first in type(config).model_fields else config.method, first)
-    for name in names:
-        value = getattr(value, name)
+    shared = path.split(".")[0] in type(config).model_fields
+    value = attrgetter(path)(config if shared else config.method)
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -211,6 +210,7 @@ def print_jobs(jobs: Iterable[Job]) -> None:
 
 def print_job(job: Job) -> None:
     """Everything about a job."""
+    seconds_left = job.progress.seconds_left
     rows = [
         ("state", _state(job)),
         ("morph", f"{job.source_name} to {job.target_name}"),
@@ -218,10 +218,7 @@ def print_job(job: Job) -> None:
         ("device, priority", f"{job.device}, {job.priority}"),
         ("frames", f"{job.progress.frame} of {job.progress.frames}"),
         ("metrics", format_losses(job.progress.metrics)),
-        (
-            "time left",
-            "" if job.progress.seconds_left is None else format_duration(job.progress.seconds_left),
-        ),
+        ("time left", "" if seconds_left is None else format_duration(seconds_left)),
         ("submitted", _local_time(job.created_at)),
         ("started", _local_time(job.started_at)),
         ("finished", _local_time(job.finished_at)),
@@ -231,11 +228,9 @@ def print_job(job: Job) -> None:
         ("sweep", job.sweep or ""),
     ]
     if job.outcome:
+        size = format_size(job.outcome.size_bytes)
         rows += [
-            (
-                "result",
-                f"{format_size(job.outcome.size_bytes)}, {job.outcome.particle_count} particles",
-            ),
+            ("result", f"{size}, {job.outcome.particle_count} particles"),
             ("cost", _cost(job.outcome)),
         ]
     if job.problem:
@@ -259,8 +254,7 @@ def print_outcome(job: Job) -> None:
     print_metrics({name: metrics[name] for name in HEADLINE if name in metrics})
     sys.stdout.write(
         f"\n{job.outcome.frames} frames of {job.outcome.particle_count} particles "
-        f"({_cost(job.outcome)}): "
-        f"morph fetch {job.id}\n"
+        f"({_cost(job.outcome)}): morph fetch {job.id}\n"
     )
 
 

@@ -14,10 +14,7 @@ class AsyncMorphClient(Operations, AsyncExecution):
             async for event in client.events(job.id):
                 print(event.type, event.data)
 
-    Args:
-        server: Its address; MORPH_SERVER, or else this machine, if None.
-        key: API key; MORPH_KEY, or else no key, if None.
-        timeout_seconds: How long an answer may take [s].
+    Its arguments are those of `MorphClient`.
     """
 
 

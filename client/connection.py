@@ -36,12 +36,7 @@ class FileContent:
 
 
 class Connection:
-    """Connections to a service, opened when needed.
-
-    Args:
-        server: Its address; MORPH_SERVER, or else this machine, if None.
-        key: API key; MORPH_KEY, or else no key, if None.
-        timeout_seconds: How long an answer may take [s].
+    """Connections to a service, opened when needed; see `MorphClient`.
 
     Raises:
         ServiceError: The address or the key cannot be one.

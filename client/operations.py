@@ -199,12 +199,7 @@ class Operations:
 
     @operation
     async def job(self, job_id: str, *, wait_for_service: bool = False) -> Job:
-        """A job as it stands.
-
-        Args:
-            job_id: The job.
-            wait_for_service: Wait about a minute for a service that is away.
-        """
+        """A job as it stands; a service that is away can be waited for, about a minute."""
         return await self._get(Job, "jobs", job_id, wait_for_service=wait_for_service)
 
     @operation
@@ -229,13 +224,9 @@ class Operations:
 
     @operation
     def events(self, job_id: str, *, after: int = 0) -> AsyncGenerator[Event, None]:
-        """Events of a job as they happen, until it is finished.
+        """Events of a job with an id above `after` as they happen, until it is finished.
 
         A lost connection is taken up again after the last event.
-
-        Args:
-            job_id: The job.
-            after: Leave out events up to this id.
         """
         return follow(self._connection, _path("jobs", job_id, "events"), after)
 
@@ -255,9 +246,6 @@ class Operations:
         What an interrupted download left beside the file is completed, not fetched again. The
         file replaces one that is there.
 
-        Returns:
-            The file.
-
         Raises:
             ResultError: What arrived is damaged.
         """
@@ -268,9 +256,7 @@ class Operations:
     async def frame(self, job_id: str, index: int = -1) -> NDArray[np.float32]:
         """Particle positions of a frame [dx], shape [particle_count, 3], float32.
 
-        Args:
-            job_id: The job, which may still run.
-            index: 0-based; -1 is the last one finished.
+        The job may still run. Frames count from 0; -1 is the last one finished.
         """
         return await self._get_points("jobs", job_id, "frames", str(index))
 
@@ -288,10 +274,7 @@ class Operations:
     async def field(self, job_id: str, name: str, index: int = -1) -> NDArray[np.float32]:
         """A field of a frame, a value per particle, shape [particle_count], float32.
 
-        Args:
-            job_id: The job, which may still run.
-            name: Name of the field, see `fields`.
-            index: Frame, 0-based; -1 is the last one finished.
+        `fields` has the names; frames are those of `frame`.
         """
         import numpy as np
 
@@ -353,9 +336,6 @@ class Operations:
             surface: A surface around the particles in their place.
             units: The coordinates of the target's file, or grid units.
             fields: Names of fields to carry along.
-
-        Returns:
-            The file.
 
         Raises:
             ResultError: The export has failed, or what arrived is damaged.
@@ -438,12 +418,7 @@ class Operations:
 
     @operation
     async def sweep_status(self, sweep_id: str, *, wait_for_service: bool = False) -> Sweep:
-        """A sweep and its table.
-
-        Args:
-            sweep_id: The sweep.
-            wait_for_service: Wait about a minute for a service that is away.
-        """
+        """A sweep and its table; a service that is away can be waited for, about a minute."""
         return await self._get(Sweep, "sweeps", sweep_id, wait_for_service=wait_for_service)
 
     # what there is to choose from

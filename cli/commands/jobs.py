@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -61,10 +62,12 @@ def submit(
     import uuid
 
     idempotency_key = submission.idempotency_key or str(uuid.uuid4())
-    with (
-        service.connect() as client,
-        interrupt.at_interrupt(lambda: _report_interrupted_submission(idempotency_key)),
-    ):
+    report_stop = partial(
+        interrupt.report,
+        "Stopped by Ctrl-C; the job may have been submitted.",
+        f"Look with morph jobs, or repeat the command with --idempotency-key {idempotency_key}.",
+    )
+    with service.connect() as client, interrupt.at_interrupt(report_stop):
         job = client.submit(
             source,
             target,
@@ -144,13 +147,6 @@ def _watch_to_end(client: MorphClient, job: Job, service: ServiceOptions, *, qui
     service.print(job, lambda: print_outcome(job))
     if job.state != "succeeded":
         raise typer.Exit(JOB_FAILED)
-
-
-def _report_interrupted_submission(key: str) -> None:
-    interrupt.report(
-        "Stopped by Ctrl-C; the job may have been submitted.",
-        f"Look with morph jobs, or repeat the command with --idempotency-key {key}.",
-    )
 
 
 def _add_command(name: str, help: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -105,8 +106,10 @@ def _compute(
     missing = [run for run in runs if run.id not in known]
     if not quiet:
         print_plan(missing, known=len(known), jobs=at_once, server=server)
+    kept = "the jobs of the service go on" if server else "finished frames are kept"
+    lines = f"Stopped by Ctrl-C; {kept}.", "Continue with the same command."
     with (
-        interrupt.at_interrupt(lambda: _report_interrupted(server)),
+        interrupt.at_interrupt(partial(interrupt.report, *lines)),
         ReproductionDisplay(jobs=at_once, quiet=quiet) as display,
     ):
         if server is None:
@@ -115,11 +118,6 @@ def _compute(
 
         with ServiceOptions(server, key).connect() as client:
             return execute_remotely(client, runs, store, meshes, on_progress=display.show)
-
-
-def _report_interrupted(server: str | None) -> None:
-    what = "the jobs of the service go on" if server else "finished frames are kept"
-    interrupt.report(f"Stopped by Ctrl-C; {what}.", "Continue with the same command.")
 
 
 def _print_list(*, as_json: bool) -> None:
