@@ -14,6 +14,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -24,11 +25,13 @@ Action = Callable[[], None]
 _SHOW_CURSOR = "\x1b[?25h"
 
 
-def _report_stopped() -> None:
-    report("Stopped by Ctrl-C.", "Run the command again.")
+def report(*lines: str) -> None:
+    """Write lines to standard error, whatever the interrupted code was writing there."""
+    cursor = _SHOW_CURSOR + "\r\n" if sys.stderr.isatty() else ""
+    os.write(2, (cursor + "".join(f"{line}\n" for line in lines)).encode())
 
 
-_action: Action = _report_stopped
+_action: Action = partial(report, "Stopped by Ctrl-C.", "Run the command again.")
 
 
 def install() -> None:
@@ -68,12 +71,6 @@ def removing(folder: Path, pattern: str) -> Iterator[None]:
 def ignore() -> None:
     """Let Ctrl-C wait, while a file is written that is nearly done."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def report(*lines: str) -> None:
-    """Write lines to standard error, whatever the interrupted code was writing there."""
-    cursor = _SHOW_CURSOR + "\r\n" if sys.stderr.isatty() else ""
-    os.write(2, (cursor + "".join(f"{line}\n" for line in lines)).encode())
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

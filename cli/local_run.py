@@ -26,16 +26,7 @@ from morph_engine.results.trajectory import Trajectory, write_result
 
 @dataclass
 class Summary:
-    """What a run has come to, complete or interrupted.
-
-    Attributes:
-        record: What the run is made of.
-        out: The result file.
-        frames: Number of finished frames.
-        metrics: Metrics of the last finished frame.
-        events: Events of all frames, as JSON.
-        interrupted: Whether Ctrl-C ended it.
-    """
+    """What a run has come to: its finished frames, the metrics of the last one, all events."""
 
     record: RunRecord
     out: Path

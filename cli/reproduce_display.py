@@ -27,9 +27,7 @@ SETTLED_SHARE = 0.02
 class ReproductionDisplay(ProgressDisplay):
     """A line for the whole and one for each run under way; elsewhere a line per finished run.
 
-    Args:
-        jobs: Runs at the same time, for the time left until something has been measured.
-        quiet: Show nothing.
+    Until something has been measured, the time left follows from the number of jobs at a time.
     """
 
     def __init__(self, *, jobs: int, quiet: bool) -> None:

@@ -93,11 +93,7 @@ def print_report(report: IngestReport) -> None:
 
 
 def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
-    """Settings with value, range and meaning, on standard output.
-
-    Args:
-        config: The configuration whose values are shown.
-        section: Only settings of this section, or of this dotted path.
+    """Settings of all sections, or of one, with value, range and meaning, on standard output.
 
     Raises:
         ConfigError: There is no such section.
