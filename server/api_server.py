@@ -17,11 +17,7 @@ KEEP_ALIVE_SECONDS = 30
 
 
 class ApiServer(uvicorn.Server):
-    """Ends event streams at once when it is told to stop, and waits a while for other requests.
-
-    Args:
-        settings: What to serve.
-    """
+    """Ends event streams at once when it is told to stop, and waits a while for other requests."""
 
     def __init__(self, settings: Settings) -> None:
         self._app = create_app(settings)

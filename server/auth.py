@@ -104,11 +104,7 @@ class Authenticator:
 
 
 class RequireScope:
-    """A dependency that answers the caller if the key includes a scope.
-
-    Args:
-        scope: The scope.
-    """
+    """A dependency that answers the caller if the key includes a scope."""
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope

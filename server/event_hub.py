@@ -120,13 +120,7 @@ class JobFeed:
 
 
 class EventHub:
-    """All event streams.
-
-    Args:
-        queue: Knows their states.
-        storage: Has their logs.
-        limit: Subscribers at the same time.
-    """
+    """All event streams."""
 
     def __init__(self, queue: JobQueue, storage: Storage, limit: int) -> None:
         self._queue = queue

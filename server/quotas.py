@@ -17,14 +17,7 @@ DISK_SECONDS = 30.0
 
 
 class Quotas:
-    """The quotas of each key. Calls block.
-
-    Args:
-        settings: The limits.
-        storage: What takes the space.
-        queue: The jobs.
-        meshes: The uploads.
-    """
+    """The quotas of each key. Calls block."""
 
     def __init__(
         self, settings: Settings, storage: Storage, queue: JobQueue, meshes: MeshStore

@@ -31,12 +31,7 @@ COLUMNS = frozenset(
 
 
 class WorkflowTable:
-    """The table of workflows, a row each. Calls block; any thread may make them.
-
-    Args:
-        client: The client of DBOS whose database it is in.
-        settings: Which database that is.
-    """
+    """The table of workflows, a row each. Calls block; any thread may make them."""
 
     def __init__(self, client: DBOSClient, settings: Settings) -> None:
         self._client = client

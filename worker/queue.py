@@ -88,11 +88,7 @@ class JobRecord:
 
 
 class JobQueue:
-    """The queue, without the means to run a job. Calls block; any thread may make them.
-
-    Args:
-        settings: Which database.
-    """
+    """The queue, without the means to run a job. Calls block; any thread may make them."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings

@@ -45,11 +45,7 @@ class Caller:
 
 
 class ApiKeyStore:
-    """The keys in the database. Calls block.
-
-    Args:
-        engine: The database of the queue.
-    """
+    """The keys in the database. Calls block."""
 
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine

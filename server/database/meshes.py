@@ -9,11 +9,7 @@ from chamfer_morph.server.database.tables import MeshRow, insert, now
 
 
 class MeshStore:
-    """The uploads in the database. Calls block; an `owner` of None means everybody.
-
-    Args:
-        engine: The database of the queue.
-    """
+    """The uploads in the database. Calls block; an `owner` of None means everybody."""
 
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine

@@ -9,11 +9,7 @@ from chamfer_morph.server.database.tables import SweepRow, insert, now
 
 
 class SweepStore:
-    """The sweeps in the database. Calls block.
-
-    Args:
-        engine: The database of the queue.
-    """
+    """The sweeps in the database. Calls block."""
 
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine

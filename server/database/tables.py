@@ -31,15 +31,7 @@ class Row(MappedAsDataclass, DeclarativeBase):
 
 
 class MeshRow(Row):
-    """An upload.
-
-    Attributes:
-        owner: Name of the key; empty without keys.
-        sha256: Digest of the file.
-        name: Name of the file.
-        size_bytes: Its size.
-        created_at: When it came [microseconds since 1970].
-    """
+    """A file that a key has uploaded, and when it came [microseconds since 1970]."""
 
     __tablename__ = "morph_meshes"
     __table_args__ = (sa.Index("morph_meshes_by_age", "created_at", "sha256"),)
@@ -52,15 +44,7 @@ class MeshRow(Row):
 
 
 class SweepRow(Row):
-    """A sweep.
-
-    Attributes:
-        id: Its id.
-        owner: Name of the key that asked for it.
-        name: The user's name for it.
-        body: SHA-256 of the request.
-        created_at: When [microseconds since 1970].
-    """
+    """A sweep of a key, the SHA-256 of its request, and when it came [microseconds since 1970]."""
 
     __tablename__ = "morph_sweeps"
 

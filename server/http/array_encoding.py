@@ -39,15 +39,7 @@ def array_response(
     extent: float,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Points as the answer to a request, or that the caller has them already.
-
-    Args:
-        request: May name the version that the caller has.
-        positions: Positions [grid units], shape [n, 3], float32.
-        format: f32, u16, ply or npy.
-        extent: Half edge of the domain [grid units].
-        headers: Further headers.
-    """
+    """The answer to a request for points, as of `encode_positions`, unless the caller has them."""
     body, media_type = encode_positions(positions, format, extent)
     all_headers = {"Morph-Particles": str(len(positions)), **(headers or {})}
     if format == "u16":

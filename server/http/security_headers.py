@@ -21,11 +21,7 @@ DOCUMENTATION_POLICY = (
 
 
 class SecurityHeaders:
-    """Adds them to every answer of an application, whatever makes it.
-
-    Args:
-        app: The application.
-    """
+    """Adds them to every answer of an application, whatever makes it."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
