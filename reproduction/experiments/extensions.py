@@ -12,6 +12,7 @@ from chamfer_morph.reproduction.experiments.paper_tables import (
     converged,
     shape_run,
 )
+from chamfer_morph.reproduction.runs.run import Run
 
 _extension = partial(Experiment, in_all=False)
 
@@ -37,7 +38,7 @@ FILL_METRICS = (
 )
 
 
-transport = partial(shape_run, method="transport", preset="fast")
+transport: partial[Run] = partial(shape_run, method="transport", preset="fast")
 """A run of `transport` at its default settings, but for what is overridden."""
 
 

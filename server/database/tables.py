@@ -34,13 +34,15 @@ class MeshRow(Row):
     """A file that a key has uploaded, and when it came [microseconds since 1970]."""
 
     __tablename__ = "morph_meshes"
-    __table_args__ = (sa.Index("morph_meshes_by_age", "created_at", "sha256"),)
 
     owner: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
     sha256: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
     name: Mapped[str] = mapped_column(sa.String(255))
     size_bytes: Mapped[int] = mapped_column(sa.BigInteger)
     created_at: Mapped[int] = mapped_column(sa.BigInteger)
+
+
+sa.Index("morph_meshes_by_age", MeshRow.created_at, MeshRow.sha256)
 
 
 class SweepRow(Row):
