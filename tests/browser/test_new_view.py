@@ -275,7 +275,7 @@ def test_a_job_is_changed_and_run_again(service, page):
     expect(method(page, "dcd")).to_be_checked()
     expect(page.get_by_label("Frames", exact=True)).to_have_value("3")
     page.get_by_text("All settings").click()
-    expect(page.locator("[id='set-density.neighbors']")).to_have_value("5")
+    expect(page.locator("[id='set-neighbors']")).to_have_value("5")
 
 
 def test_a_morph_with_the_keyboard_alone(service, page):
