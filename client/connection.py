@@ -68,14 +68,10 @@ class Connection:
         wait_for_service: bool = False,
         **options: Any,
     ) -> httpx.Response:
-        """The answer to a request.
+        """The answer to a request for a path below /v1; options are those of httpx.
 
-        Args:
-            method: HTTP method.
-            path: Path below /v1.
-            repeatable: Whether the request may reach the service twice.
-            wait_for_service: Try for about a minute, not for a few seconds.
-            options: As of httpx.AsyncClient.request.
+        One that is `repeatable` may reach the service twice. A service that is away is waited for
+        about a minute, or else for a few seconds.
 
         Raises:
             ServiceError: The service refuses or does not answer.

@@ -25,13 +25,7 @@ _SERVER_FAULT = "Try again later; the log of the service has more."
 
 
 class ServiceError(MorphError):
-    """The service refused what was asked, or failed at it.
-
-    Args:
-        cause: One sentence that says what is wrong.
-        remedy: One sentence that says what to do about it.
-        status: HTTP status; None without an answer.
-    """
+    """The service refused what was asked, or failed at it; without an HTTP status, no answer."""
 
     def __init__(self, cause: str, remedy: str, status: int | None = None) -> None:
         super().__init__(cause, remedy)

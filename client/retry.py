@@ -28,10 +28,7 @@ _NOT_SENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout)
 class Attempts:
     """Counts failures in a row and waits after each, until there are too many.
 
-    Args:
-        server: Address of the service, for messages.
-        limit: Number of attempts.
-        repeatable: Whether the request may reach the service twice.
+    A request that is `repeatable` may reach the service twice.
     """
 
     def __init__(self, server: str, *, limit: int = FEW_ATTEMPTS, repeatable: bool = True) -> None:

@@ -23,11 +23,13 @@ from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points
 from morph_engine.geometry.sampling import SAFE_HALF_EXTENT, sample_lattice
 from morph_engine.geometry.shapes import resolve_shape
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.geometry.topology import triangle_areas
 from morph_engine.metrics.chamfer import chamfer_metrics
-from morph_engine.metrics.deformation import deformation_metrics
+from morph_engine.metrics.independent import mesh_metrics, surface_metrics
+from morph_engine.metrics.path import path_metrics
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
-from morph_engine.results.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory, opened
 
 Reference = Literal["volume", "surface"]
 Comparable = Mesh | Trajectory | str | Path | npt.ArrayLike
@@ -65,62 +67,6 @@ class Measurement:
         return {**document, **values}
 
 
-def measure(
-    positions: npt.ArrayLike,
-    target: npt.ArrayLike,
-    *,
-    spacing: float,
-    reference: Reference = "volume",
-    mesh: Mesh | None = None,
-    deformation: npt.ArrayLike | None = None,
-    tau: float = 0.2,
-    domain_half_extent: float = SAFE_HALF_EXTENT,
-    workers: int = 1,
-) -> Measurement:
-    """Take every number there is between particles and a target.
-
-    Args:
-        positions: Particle positions [dx], shape [n, 3].
-        target: Target points [dx], shape [m, 3].
-        spacing: Spacing h of the target points [dx].
-        reference: What the target points are; the fill is measured for ``volume`` only.
-        mesh: Target mesh in grid units, for the particles outside it.
-        deformation: Deformation gradients F [-], shape [n, 3, 3], for the range of det F.
-        tau: Threshold of precision, recall and F1 [dx], strict.
-        domain_half_extent: A particle beyond this in any coordinate has escaped [dx].
-        workers: Threads for the searches; -1 takes every core.
-
-    Returns:
-        The numbers of `chamfer_metrics`, and of `fill_metrics`, `outside_metrics` and
-        `deformation_metrics` where what they need was given.
-
-    Raises:
-        MeshError: An array has the wrong shape, or the target is empty or not finite.
-    """
-    values = chamfer_metrics(
-        positions,
-        target,
-        spacing=spacing,
-        tau=tau,
-        domain_half_extent=domain_half_extent,
-        workers=workers,
-    )
-    if deformation is not None:
-        values |= deformation_metrics(deformation)
-    if reference == "volume":
-        values |= fill_metrics(positions, target, spacing=spacing, workers=workers)
-    if mesh is not None:
-        values |= outside_metrics(positions, mesh)
-    return Measurement(
-        values=values,
-        reference=reference,
-        particle_count=len(np.asarray(positions)),
-        target_count=len(np.asarray(target)),
-        spacing=spacing,
-        tau=tau,
-    )
-
-
 def compare(
     a: Comparable,
     b: Comparable | None = None,
@@ -151,7 +97,8 @@ def compare(
         workers: Threads for the searches; -1 takes every core.
 
     Returns:
-        The numbers of `measure`; those outside the mesh if the target is one.
+        The numbers of `chamfer_metrics`, those of `fill_metrics` against a volume, and of
+        `outside_metrics` if the target is a mesh.
 
     Raises:
         MeshError: A shape cannot be read or used, or has no lattice point at this spacing.
@@ -178,16 +125,40 @@ def compare(
             return sample_surface(shape.mesh, count=sample_count, seed=0)
         return _fill(shape.mesh, spacing)
 
-    return measure(
-        cloud(particles),
-        cloud(goal),
+    positions, target = cloud(particles), cloud(goal)
+    values = chamfer_metrics(
+        positions,
+        target,
         spacing=spacing,
-        reference=reference,
-        mesh=goal.mesh,
         tau=tau,
         domain_half_extent=particles.domain or goal.domain or SAFE_HALF_EXTENT,
         workers=workers,
     )
+    if reference == "volume":
+        values |= fill_metrics(positions, target, spacing=spacing, workers=workers)
+    if goal.mesh is not None:
+        values |= outside_metrics(positions, goal.mesh)
+    return Measurement(values, reference, len(positions), len(target), spacing, tau)
+
+
+def measure_path(result: Trajectory | str | Path) -> dict[str, float]:
+    """Measure the path of a result, and its end against the target's mesh.
+
+    Returns:
+        The numbers of `path_metrics`, with the source as the first frame and a schedule of even
+        steps; those of `mesh_metrics` and `surface_metrics` if the target is a mesh.
+
+    Raises:
+        ResultError: The result cannot be read.
+    """
+    with opened(result) as run:
+        spacing, last = run.config.spacing, run.positions(-1)
+        values = path_metrics([run.run.source_points, *run], spacing)
+        target = _of_run(run, -1).target
+    if target is not None and target.mesh is not None:
+        values |= mesh_metrics(last, target.mesh, spacing)
+        values |= surface_metrics(reconstruct_surface(last, spacing), target.mesh)
+    return values
 
 
 def sample_surface(mesh: Mesh, *, count: int, seed: int) -> Points:

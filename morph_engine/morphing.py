@@ -203,7 +203,8 @@ def _frames(
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
     config = record.config
-    method = kind(Problem(record.source_points, record.target_points, config))
+    ends = (_fitted(shape, config) for shape in (record.source, record.target))
+    method = kind(Problem(record.source_points, record.target_points, config, *ends))
     stopping = EarlyStopping(config)
     start = 0
     checkpoint = spool.load_checkpoint() if spool else None
@@ -361,6 +362,13 @@ def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Sim
     jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
     points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
     return points, similarity
+
+
+def _fitted(shape: Shape, config: MorphConfig) -> Mesh | None:
+    """The mesh in grid units; None for a point cloud."""
+    if not isinstance(shape, Mesh):
+        return None
+    return fit_to_domain(shape, mode=config.sampling.fit)[0]
 
 
 def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:

@@ -63,11 +63,7 @@ EXPERIMENTS: dict[str, AnyExperiment] = {**PAPER_TABLES, **EXTENSIONS, **STANDAL
 
 
 def select(names: Sequence[str], *, quick: bool = False) -> tuple[AnyExperiment, ...]:
-    """The experiments of some names, each once, in the order of the report.
-
-    Args:
-        names: Names, or "all".
-        quick: With the preset `fast`.
+    """The experiments of some names or "all", each once, in the order of the report.
 
     Raises:
         ConfigError: There is nothing of a name.

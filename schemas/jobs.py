@@ -42,22 +42,27 @@ class Outcome(BaseModel):
     peak_memory_mb: float = Field(description="Largest resident memory of the last attempt [MB].")
 
 
-class JobRequest(Request):
-    """A morph to compute."""
+class JobOptions(Request):
+    """How to compute: what a job and all jobs of a sweep are asked with."""
 
-    source: Shape = Field(description="Where the particles come from.")
-    target: Shape = Field(description="What they are to become.")
     preset: str = Field("fast", description="Configuration to start from, see /v1/presets.")
     overrides: dict[str, Any] = Field(
         default_factory=dict, description='Settings by dotted path, e.g. {"chamfer.weight": 5}.'
     )
-    method: str | None = Field(None, description="Short for the override `method`.")
     frames: int | None = Field(None, ge=1, le=10000, description="Short for the override `frames`.")
-    seed: Seed | None = Field(None, description="Short for the override `seed`.")
     name: Name = Field("", description="For your own use.")
     device: Device = "auto"
     priority: int = Field(100, ge=1, le=1000, description="Smaller runs earlier among your jobs.")
     timeout_seconds: float | None = Field(None, gt=0, description="Stop after so long [s].")
+
+
+class JobRequest(JobOptions):
+    """A morph to compute."""
+
+    source: Shape = Field(description="Where the particles come from.")
+    target: Shape = Field(description="What they are to become.")
+    method: str | None = Field(None, description="Short for the override `method`.")
+    seed: Seed | None = Field(None, description="Short for the override `seed`.")
 
 
 class Progress(BaseModel):

@@ -51,13 +51,12 @@ def create_app(settings: Settings) -> FastAPI:
     Args:
         settings: Where to listen decides whether keys are needed, the rest is for its endpoints.
     """
-    metrics = health.RequestMetrics()
+    metrics = health.Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        context = await anyio.to_thread.run_sync(ServerContext.open, settings)
+        context = await anyio.to_thread.run_sync(ServerContext, settings)
         app.state.context = context
-        metrics.observe_queue(context)
         try:
             yield
         finally:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import anyio
 import sqlalchemy as sa
+from anyio import CapacityLimiter
 from fastapi import Depends, Request
 
 from chamfer_morph.server.auth import Authenticator, is_loopback
@@ -20,7 +20,7 @@ from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.queue import JobQueue
-from chamfer_morph.worker.sandbox.computations import SampledShape
+from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 
@@ -41,65 +41,43 @@ FILES = 1
 `export_memory_bytes`."""
 
 
-@dataclass(frozen=True)
 class ServerContext:
-    """Everything an endpoint may need; one for each application."""
+    """Everything an endpoint may need; one for each application.
 
-    settings: Settings
-    storage: Storage
-    queue: JobQueue
-    engine: sa.Engine
-    api_keys: ApiKeyStore
-    authenticator: Authenticator
-    meshes: MeshStore
-    sweeps: SweepStore
-    quotas: Quotas
-    event_hub: EventHub
-    compute_limiter: anyio.CapacityLimiter
-    inspections: SingleFlight[dict[str, Any]]
-    previews: SingleFlight[SampledShape]
-    surfaces: SingleFlight[None]
-    thumbnails: SingleFlight[bytes]
-    partial_results: SingleFlight[None]
-    exports: SingleFlight[None]
+    To make one connects, and creates what is missing in the database and the data directory.
+    """
 
-    @classmethod
-    def open(cls, settings: Settings) -> ServerContext:
-        """Connect, and create what is missing in the database and the data directory."""
-        storage = Storage(settings.data_dir)
-        queue = JobQueue(settings)
-        queue.migrate()
-        engine = database(settings)
-        tables.create(engine)
-        api_keys, meshes = ApiKeyStore(engine), MeshStore(engine)
-        compute_limiter = anyio.CapacityLimiter(COMPUTATIONS)
-        return cls(
-            settings=settings,
-            storage=storage,
-            queue=queue,
-            engine=engine,
-            api_keys=api_keys,
-            authenticator=Authenticator(api_keys, open_without_keys=is_loopback(settings.host)),
-            meshes=meshes,
-            sweeps=SweepStore(engine),
-            quotas=Quotas(settings, storage, queue, meshes),
-            event_hub=EventHub(queue, storage, settings.watchers),
-            compute_limiter=compute_limiter,
-            inspections=SingleFlight(anyio.CapacityLimiter(INSPECTIONS)),
-            previews=SingleFlight(
-                anyio.CapacityLimiter(PREVIEWS),
-                cache_bytes=PREVIEW_CACHE_BYTES,
-                size_of=lambda shape: shape.positions.nbytes,
-            ),
-            surfaces=SingleFlight(anyio.CapacityLimiter(FILES)),
-            thumbnails=SingleFlight(compute_limiter),
-            partial_results=SingleFlight(anyio.CapacityLimiter(FILES)),
-            exports=SingleFlight(anyio.CapacityLimiter(FILES)),
+    def __init__(self, settings: Settings) -> None:
+        self.settings: Settings = settings
+        self.storage: Storage = Storage(settings.data_dir)
+        self.queue: JobQueue = JobQueue(settings)
+        self.queue.migrate()
+        self.engine: sa.Engine = database(settings)
+        tables.create(self.engine)
+        self.api_keys: ApiKeyStore = ApiKeyStore(self.engine)
+        self.authenticator: Authenticator = Authenticator(
+            self.api_keys, open_without_keys=is_loopback(settings.host)
         )
+        self.meshes: MeshStore = MeshStore(self.engine)
+        self.sweeps: SweepStore = SweepStore(self.engine)
+        self.quotas: Quotas = Quotas(settings, self.storage, self.queue, self.meshes)
+        self.event_hub: EventHub = EventHub(self.queue, self.storage, settings.watchers)
+        self.sandbox: Sandbox = Sandbox(settings, self.storage)
+        self.inspections: SingleFlight[dict[str, Any]] = SingleFlight(CapacityLimiter(INSPECTIONS))
+        self.previews: SingleFlight[SampledShape] = SingleFlight(
+            CapacityLimiter(PREVIEWS),
+            cache_bytes=PREVIEW_CACHE_BYTES,
+            size_of=lambda shape: shape.positions.nbytes,
+        )
+        self.surfaces: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
+        self.partial_results: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
+        self.exports: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
+        self._compute_limiter = CapacityLimiter(COMPUTATIONS)
+        self.thumbnails: SingleFlight[bytes] = SingleFlight(self._compute_limiter)
 
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
         """Call a function that takes a while in a thread, when its turn has come."""
-        return await anyio.to_thread.run_sync(function, *args, limiter=self.compute_limiter)
+        return await anyio.to_thread.run_sync(function, *args, limiter=self._compute_limiter)
 
     def cancel_computations(self, job_id: str) -> None:
         """End what is being computed from the frames of a job, which go."""

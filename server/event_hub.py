@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 from bisect import bisect_right
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from datetime import datetime, timezone
+from operator import itemgetter
 
 import anyio
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
@@ -48,45 +47,29 @@ class JobFeed:
         self._changed = asyncio.Event()
         self._log = log
         self._size = 0
-        self._ids: list[int] = []
-        self._encoded: list[bytes] = []
-        self._next: tuple[JobState | None, list[int], list[bytes], bool] | None = None
+        self._has_news = False
+        self._events: list[tuple[int, bytes]] = []
 
     def read(self, state: JobState | None) -> None:
         """Read what is new; the state was asked for before, so a final one has all its events."""
-        try:
-            size = os.stat(self._log.path).st_size
-        except FileNotFoundError:
-            size = 0
-        restarted = size < self._size  # the job began anew
-        ids: list[int] = []
-        encoded: list[bytes] = []
+        size = self._log.version()[1]
+        if size != self._size or state is not self.state or not self.ready.is_set():
+            self._has_news = True
         if size != self._size:
-            after = self._ids[-1] if self._ids and not restarted else 0
-            for event in self._log.read(after, limit=1 << 30):
-                ids.append(event.id)
-                encoded.append(encode_event(event))
-        if ids or restarted or state is not self.state or not self.ready.is_set():
-            self._next = state, ids, encoded, restarted
-        self._size = size
+            known = self._events if size > self._size else []  # a shorter log has begun anew
+            new = self._log.read(known[-1][0] if known else 0, limit=1 << 30)
+            self._events = known + [(event.id, encode_event(event)) for event in new]
+        self._size, self.state = size, state
 
     def publish(self) -> None:
         """Let the subscribers see what the last read has found."""
-        if self._next is None:
-            return
-        state, ids, encoded, restarted = self._next
-        self._next = None
-        if restarted:
-            self._ids.clear()
-            self._encoded.clear()
-        self._ids += ids
-        self._encoded += encoded
-        self.state = state
-        self.ready.set()
-        self.wake()
+        if self._has_news:
+            self._has_news = False
+            self.wake()
 
     def wake(self) -> None:
         """Wake the subscribers."""
+        self.ready.set()
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -96,14 +79,13 @@ class JobFeed:
         yield f"retry: {RECONNECT_MILLISECONDS}\n\n".encode()
         sent_state: JobState | None = None
         while not closing.is_set():
-            changed, state = self._changed, self.state
-            last = self._ids[-1] if self._ids else 0
-            after = 0 if after > last else after
-            begin = bisect_right(self._ids, after)
-            if begin < len(self._ids):
-                batch = slice(begin, begin + BATCH)
-                encoded, after = b"".join(self._encoded[batch]), self._ids[batch][-1]
-                yield encoded
+            # the state before the events, for a thread may write the events and then the state
+            changed, state, events = self._changed, self.state, self._events
+            after = 0 if not events or after > events[-1][0] else after
+            begin = bisect_right(events, after, key=itemgetter(0))
+            if batch := events[begin : begin + BATCH]:
+                yield b"".join(encoded for _, encoded in batch)
+                after = batch[-1][0]
                 continue
             if state is None:
                 return
@@ -152,29 +134,23 @@ class EventHub:
 
     async def stream(self, job_id: str, after: int) -> AsyncIterator[bytes]:
         """The events of a job as server-sent events, until it rests."""
-        async with self._subscribed(job_id) as feed:
-            async for encoded in feed.events(after, self.closing):
-                yield encoded
-
-    def close(self) -> None:
-        """End all streams; a subscriber reconnects to the next process."""
-        self.closing.set()
-        for feed in self._feeds.values():
-            feed.ready.set()
-            feed.wake()
-
-    @asynccontextmanager
-    async def _subscribed(self, job_id: str) -> AsyncIterator[JobFeed]:
         feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
         feed.subscribers += 1
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._poll())
         try:
-            yield feed
+            async for encoded in feed.events(after, self.closing):
+                yield encoded
         finally:
             feed.subscribers -= 1
             if not feed.subscribers:
                 self._feeds.pop(job_id, None)
+
+    def close(self) -> None:
+        """End all streams; a subscriber reconnects to the next process."""
+        self.closing.set()
+        for feed in self._feeds.values():
+            feed.wake()
 
     async def _poll(self) -> None:
         while self._feeds and not self.closing.is_set():

@@ -39,12 +39,8 @@ class Quotas:
         unfinished = counts[JobState.QUEUED] + counts[JobState.RUNNING]
         limit = self._settings.queued_jobs_per_key
         if unfinished + adding > limit:
-            raise ProblemError(
-                429,
-                f"This key has {unfinished} unfinished jobs, and may have {limit}.",
-                "Wait for some to finish, or cancel them.",
-                headers={"Retry-After": "60"},
-            )
+            cause = f"This key has {unfinished} unfinished jobs, and may have {limit}."
+            raise _refusal(429, cause, "Wait for some to finish, or cancel them.")
         self.check_disk(owner)
 
     def check_meshes(self, owner: str) -> None:
@@ -56,12 +52,8 @@ class Quotas:
         count, _ = self._meshes.totals(owner)
         limit = self._settings.meshes_per_key
         if count >= limit:
-            raise ProblemError(
-                429,
-                f"This key keeps {count} meshes, and may keep {limit}.",
-                "Delete those that are not needed any more.",
-                headers={"Retry-After": "60"},
-            )
+            cause = f"This key keeps {count} meshes, and may keep {limit}."
+            raise _refusal(429, cause, "Delete those that are not needed any more.")
         self.check_disk(owner)
 
     def check_disk(self, owner: str) -> None:
@@ -72,13 +64,9 @@ class Quotas:
         """
         used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
-            raise ProblemError(
-                413,
-                f"The meshes and jobs of this key fill {used / 1e9:.1f} GB, and may fill "
-                f"{limit / 1e9:.1f} GB.",
-                "Delete jobs or meshes that are not needed any more.",
-                headers={"Retry-After": "60"},
-            )
+            gigabytes, most = f"{used / 1e9:.1f} GB", f"{limit / 1e9:.1f} GB"
+            cause = f"The meshes and jobs of this key fill {gigabytes}, and may fill {most}."
+            raise _refusal(413, cause, "Delete jobs or meshes that are not needed any more.")
 
     def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].
@@ -105,3 +93,7 @@ class Quotas:
 
     def _job_bytes(self, owner: str) -> int:
         return sum(self._storage.job_bytes(record.id) for record in self._queue.all(owner=owner))
+
+
+def _refusal(status: int, cause: str, remedy: str) -> ProblemError:
+    return ProblemError(status, cause, remedy, headers={"Retry-After": "60"})

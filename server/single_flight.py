@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import subprocess
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
@@ -12,7 +11,8 @@ from typing import Generic, TypeVar
 import anyio
 from starlette.requests import Request
 
-from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.http.problems import ProblemError, unavailable
+from chamfer_morph.worker.sandbox.runner import Computation
 
 Result = TypeVar("Result")
 Key = tuple[Hashable, ...]
@@ -20,40 +20,21 @@ Key = tuple[Hashable, ...]
 FAILURES_KEPT = 100
 
 
-class Flight(Generic[Result]):
+class Flight(Computation, Generic[Result]):
     """A computation that waits for its turn or is under way, or one that has failed.
 
     Attributes:
         owner: Name of the key on whose account it is.
-        progress: Share that is done, from 0 to 1.
         error: Why it has failed, if it has.
         requests: Who waits for it; None where it is computed in any case.
     """
 
     def __init__(self, owner: str, requests: list[Request] | None) -> None:
+        super().__init__()
         self.owner = owner
-        self.progress: float = 0.0
         self.error: Exception | None = None
         self.requests = requests
-        self.cancelled: bool = False
         self.task: asyncio.Task[Result] | None = None
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def on_start(self, process: subprocess.Popen[bytes]) -> None:
-        """Note the process that computes it."""
-        self._process = process
-        if self.cancelled:
-            process.kill()
-
-    def on_progress(self, share: float) -> None:
-        """Note how far it has come."""
-        self.progress = share
-
-    def cancel(self) -> None:
-        """End it."""
-        self.cancelled = True
-        if self._process is not None:
-            self._process.kill()
 
     async def is_wanted(self) -> bool:
         """Whether anybody still waits for it."""
@@ -179,14 +160,9 @@ class SingleFlight(Generic[Result]):
 
     def _ended(self) -> ProblemError:
         """What to tell those who wait for something that is cancelled."""
-        if not self._closing:
-            return ProblemError(404, "It has been deleted meanwhile.", "Ask for it again.")
-        return ProblemError(
-            503,
-            "The service is stopping.",
-            "Ask again in a few seconds.",
-            headers={"Retry-After": "5"},
-        )
+        if self._closing:
+            return unavailable("The service is stopping.")
+        return ProblemError(404, "It has been deleted meanwhile.", "Ask for it again.")
 
     def _remember(self, key: Key, result: Result) -> None:
         if not self._cache_bytes:

@@ -31,13 +31,11 @@ class Submission:
     Attributes:
         spec: What to compute.
         attributes: What the service keeps beside it.
-        name: The user's name for it.
         priority: Smaller runs earlier.
     """
 
     spec: JobSpec
     attributes: dict[str, str | int | float]
-    name: str
     priority: int
 
 
@@ -69,6 +67,7 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
     return Submission(
         spec=spec,
         attributes={
+            "name": request.name,
             "body": body_digest(request.model_dump(mode="json")),
             "method": config.method.name,
             "preset": request.preset,
@@ -76,7 +75,6 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
             "target_name": target_name,
             "estimate": expected.seconds,
         },
-        name=request.name,
         priority=request.priority,
     )
 
@@ -126,10 +124,8 @@ def submit(
         submission.spec,
         job_id=job_id,
         owner=caller.name,
-        name=submission.name,
-        sweep=sweep,
         priority=submission.priority,
-        attributes=submission.attributes,
+        attributes=submission.attributes | ({"sweep": sweep} if sweep else {}),
     )
     record = context.queue.get(job_id)
     if record is None:

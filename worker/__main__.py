@@ -1,4 +1,4 @@
-"""Processes of the worker: `python -m chamfer_morph.worker run | janitor | adopt | migrate`."""
+"""Processes of the worker: `python -m chamfer_morph.worker run | janitor | adopt`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ def main() -> None:
     commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
     adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
     adoption.add_argument("executor")
-    commands.add_parser("migrate", help="create or upgrade the tables")
     arguments = parser.parse_args()
     logging.basicConfig(
         format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
@@ -42,12 +41,8 @@ def main() -> None:
         from chamfer_morph.worker import janitor
 
         janitor.run(settings)
-    elif arguments.command == "adopt":
-        adopt(settings, arguments.executor)
     else:
-        from chamfer_morph.worker.queue import JobQueue
-
-        JobQueue(settings).migrate()
+        adopt(settings, arguments.executor)
 
 
 def adopt(settings: Settings, executor: str) -> None:

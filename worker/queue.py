@@ -118,8 +118,6 @@ class JobQueue:
         *,
         job_id: str,
         owner: str,
-        name: str = "",
-        sweep: str | None = None,
         priority: int = 100,
         attributes: Mapping[str, str | int | float] | None = None,
     ) -> bool:
@@ -129,17 +127,12 @@ class JobQueue:
             spec: What to compute.
             job_id: Its id; submitting the same id again changes nothing.
             owner: Name of the submitting key; slots are shared out evenly between owners.
-            name: The user's name for it.
-            sweep: The sweep it belongs to.
             priority: 1 to 1000; smaller runs earlier among the owner's jobs.
-            attributes: More to attach; `method` can be listed by.
+            attributes: More to attach: `name`, `method`, `sweep` and what else is to be shown.
 
         Returns:
             False if the id is taken.
         """
-        extra = {"name": name, "owner": owner, "priority": priority, **(attributes or {})}
-        if sweep is not None:
-            extra["sweep"] = sweep
         try:
             self._client.enqueue(
                 {
@@ -152,7 +145,7 @@ class JobQueue:
                     "priority": self._next_place(owner),
                     "authenticated_user": owner or NOBODY,
                     "serialization_type": WorkflowSerializationFormat.PORTABLE,
-                    "attributes": extra,
+                    "attributes": {"owner": owner, "priority": priority, **(attributes or {})},
                 },
                 spec.model_dump(mode="json"),
             )
@@ -185,25 +178,25 @@ class JobQueue:
             before: Only jobs older than the one with this `age_and_id`.
             limit: At most so many.
         """
-        t = self._table
-        created = sa.cast(t.c.created_at, sa.BigInteger)  # SQLite may store fractions
+        c = self._table.c
+        created = sa.cast(c.created_at, sa.BigInteger)  # SQLite may store fractions
         query = self._versions
         if owner is not None:
-            query = query.where(t.c.authenticated_user == (owner or NOBODY))
+            query = query.where(self._owned_by(owner))
         if sweep is not None:
-            query = query.where(t.c.attributes["sweep"].as_string() == sweep)
+            query = query.where(c.attributes["sweep"].as_string() == sweep)
         if method is not None:
-            query = query.where(t.c.attributes["method"].as_string() == method)
+            query = query.where(c.attributes["method"].as_string() == method)
         if states:
             wanted = sorted({status for state in states for status in statuses(state)})
-            query = query.where(t.c.status.in_(wanted))
+            query = query.where(c.status.in_(wanted))
             if JobState.TIMED_OUT not in states:
-                query = query.where((t.c.status != "CANCELLED") | ~self._late)
+                query = query.where((c.status != "CANCELLED") | ~self._late)
             if JobState.CANCELLED not in states:
-                query = query.where((t.c.status != "CANCELLED") | self._late)
+                query = query.where((c.status != "CANCELLED") | self._late)
         if before is not None:
-            query = query.where(sa.tuple_(created, t.c.workflow_uuid) < before)
-        query = query.order_by(created.desc(), t.c.workflow_uuid.desc())
+            query = query.where(sa.tuple_(created, c.workflow_uuid) < before)
+        query = query.order_by(created.desc(), c.workflow_uuid.desc())
         return [*self._records(query.limit(limit))]
 
     def all(
@@ -217,37 +210,33 @@ class JobQueue:
 
     def states(self, job_ids: Collection[str]) -> dict[str, JobState]:
         """The states of some jobs, without those that do not exist; cheaper than `get`."""
-        t = self._table
-        query = sa.select(t.c.workflow_uuid, t.c.status, self._late).where(
-            t.c.workflow_uuid.in_(list(job_ids)), t.c.name == WORKFLOW
-        )
-        return {
-            job_id: job_state(status, late=bool(late)) for job_id, status, late in self._rows(query)
-        }
+        c = self._table.c
+        query = self._select(c.workflow_uuid, c.status, self._late)
+        rows = self._rows(query.where(c.workflow_uuid.in_(list(job_ids))))
+        return {job_id: job_state(status, late=bool(late)) for job_id, status, late in rows}
 
     def counts(self, owner: str | None = None) -> dict[JobState, int]:
         """Number of jobs in each state."""
-        t = self._table
-        query = sa.select(t.c.status, self._late, sa.func.count()).where(t.c.name == WORKFLOW)
+        c = self._table.c
+        query = self._select(c.status, self._late, sa.func.count())
         if owner is not None:
-            query = query.where(t.c.authenticated_user == (owner or NOBODY))
+            query = query.where(self._owned_by(owner))
         counts = dict.fromkeys(JobState, 0)
-        for status, late, count in self._rows(query.group_by(t.c.status, self._late)):
+        for status, late, count in self._rows(query.group_by(c.status, self._late)):
             counts[job_state(status, late=bool(late))] += count
         return counts
 
     def position(self, job_id: str) -> int | None:
         """Jobs that start before a queued one; None if it is not queued."""
-        t = self._table
-        waiting = (t.c.name == WORKFLOW) & t.c.status.in_(["ENQUEUED", "DELAYED"])
-        found = self._rows(
-            sa.select(t.c.priority, t.c.created_at).where(waiting, t.c.workflow_uuid == job_id)
-        )
+        c = self._table.c
+        waiting = c.status.in_(["ENQUEUED", "DELAYED"])
+        query = self._select(c.priority, c.created_at).where(waiting, c.workflow_uuid == job_id)
+        found = self._rows(query)
         if not found:
             return None
         place, created = found[0]
-        earlier = (t.c.priority < place) | ((t.c.priority == place) & (t.c.created_at < created))
-        return int(self._rows(sa.select(sa.func.count()).where(waiting, earlier))[0][0])
+        earlier = (c.priority < place) | ((c.priority == place) & (c.created_at < created))
+        return int(self._rows(self._select(sa.func.count()).where(waiting, earlier))[0][0])
 
     def cancel(self, job_id: str) -> None:
         """Stop a job; a running one ends within two seconds and keeps its frames."""
@@ -270,10 +259,8 @@ class JobQueue:
 
     def running(self) -> dict[str, set[str]]:
         """Ids of the running jobs by the worker slot that holds them."""
-        t = self._table
-        query = sa.select(t.c.executor_id, t.c.workflow_uuid).where(
-            t.c.name == WORKFLOW, t.c.status == "PENDING"
-        )
+        c = self._table.c
+        query = self._select(c.executor_id, c.workflow_uuid).where(c.status == "PENDING")
         jobs: dict[str, set[str]] = {}
         for executor, job_id in self._rows(query):
             jobs.setdefault(executor, set()).add(job_id)
@@ -292,16 +279,13 @@ class JobQueue:
 
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
-        t = self._table
-        jobs = t.c.name == WORKFLOW
-        queued, running = t.c.status == "ENQUEUED", t.c.status == "PENDING"
-        mine = t.c.authenticated_user == (owner or NOBODY)
+        c = self._table.c
+        queued, running = c.status == "ENQUEUED", c.status == "PENDING"
+        last = self._select(sa.func.max(c.priority))
         query = sa.select(
-            sa.select(sa.func.max(t.c.priority))
-            .where(jobs, mine, queued | running)
-            .scalar_subquery(),
-            sa.select(sa.func.max(t.c.priority)).where(jobs, running).scalar_subquery(),
-            sa.select(sa.func.min(t.c.priority) - 1).where(jobs, queued).scalar_subquery(),
+            last.where(self._owned_by(owner), queued | running).scalar_subquery(),
+            last.where(running).scalar_subquery(),
+            self._select(sa.func.min(c.priority) - 1).where(queued).scalar_subquery(),
         )
         own, started, waiting = self._rows(query)[0]
         return 1 + max(own or 0, started if started is not None else waiting or 0)
@@ -314,25 +298,22 @@ class JobQueue:
             newest: Priority of the job queued last; only if it goes before another one is there
                 anything to do.
         """
-        t = self._table
-        priority = t.c.attributes["priority"].as_integer()
-        queued = (
-            (t.c.name == WORKFLOW)
-            & (t.c.authenticated_user == (owner or NOBODY))
-            & (t.c.status == "ENQUEUED")
+        c = self._table.c
+        priority = c.attributes["priority"].as_integer()
+        query = self._select(c.workflow_uuid, c.priority, priority).where(
+            self._owned_by(owner), c.status == "ENQUEUED"
         )
-        if not self._rows(sa.select(t.c.workflow_uuid).where(queued, priority > newest).limit(1)):
+        if not self._rows(query.where(priority > newest).limit(1)):
             return
-        query = sa.select(t.c.workflow_uuid, t.c.priority, priority).where(queued)
-        jobs = self._rows(query.order_by(t.c.created_at, t.c.workflow_uuid))
+        jobs = self._rows(query.order_by(c.created_at, c.workflow_uuid))
         places = sorted(place for _, place, _ in jobs)
         wanted = sorted(jobs, key=lambda job: job[2])
         with self._workflows.begin() as connection:
             for (job_id, place, _), better in zip(wanted, places, strict=True):
                 if place != better:
                     connection.execute(
-                        sa.update(t)
-                        .where(t.c.workflow_uuid == job_id, t.c.status == "ENQUEUED")
+                        sa.update(self._table)
+                        .where(c.workflow_uuid == job_id, c.status == "ENQUEUED")
                         .values(priority=better)
                     )
 
@@ -344,9 +325,8 @@ class JobQueue:
     @cached_property
     def _versions(self) -> sa.Select[Any]:
         """A query for jobs: their ids, and what changes with every change of their row."""
-        t = self._table
-        columns = (t.c.workflow_uuid, t.c.status, t.c.executor_id, t.c.updated_at)
-        return sa.select(*columns).where(t.c.name == WORKFLOW)
+        c = self._table.c
+        return self._select(c.workflow_uuid, c.status, c.executor_id, c.updated_at)
 
     def _records(
         self, query: sa.Select[Any], values: Mapping[str, Any] | None = None
@@ -366,11 +346,18 @@ class JobQueue:
     def _table(self) -> sa.Table:
         return self._workflows.table
 
+    def _select(self, *columns: Any) -> sa.Select[Any]:
+        """A query for columns of the jobs."""
+        return sa.select(*columns).where(self._table.c.name == WORKFLOW)
+
+    def _owned_by(self, owner: str) -> sa.ColumnElement[bool]:
+        return self._table.c.authenticated_user == (owner or NOBODY)
+
     @property
     def _late(self) -> sa.ColumnElement[bool]:
         """Whether a workflow ended after its deadline."""
-        t = self._table
-        return sa.func.coalesce(t.c.completed_at >= t.c.workflow_deadline_epoch_ms, sa.false())
+        c = self._table.c
+        return sa.func.coalesce(c.completed_at >= c.workflow_deadline_epoch_ms, sa.false())
 
 
 def _record(status: WorkflowStatus) -> JobRecord:

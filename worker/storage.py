@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -116,10 +116,8 @@ class Storage:
         total = 0
         for folder, _, files in os.walk(self.job_dir(job_id)):
             for name in files:
-                try:
+                with suppress(FileNotFoundError):
                     total += os.stat(os.path.join(folder, name)).st_size
-                except FileNotFoundError:
-                    pass
         return total
 
     def remove_job(self, job_id: str) -> None:

@@ -56,10 +56,18 @@ def metrics(
     ] = "volume",
     frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
     tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = 0.2,
+    path: Annotated[
+        bool, typer.Option("--path", help="Measure the path of a result, and its end, instead.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how well A fills B: Chamfer, Hausdorff, F1, overlap, coverage, fill."""
-    from morph_engine.comparison import compare
+    from morph_engine.comparison import compare, measure_path
+
+    if path:
+        values = measure_path(a)
+        print_result(values, lambda: print_metrics(values), as_json=as_json)
+        return
 
     measurement = compare(
         a,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from morph_engine.export.format import Format
@@ -15,32 +16,29 @@ EARLIEST = (1980, 1, 1, 0, 0, 0)
 
 def write_archive(chosen: Format, selection: Selection, path: Path) -> None:
     """Write a zip archive with a file per frame; arguments as for `Format.write`."""
-    total = len(selection.frames)
     part = path.with_name(path.name + chosen.suffix)
     try:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            for done, frame in enumerate(selection.frames):
-                selection.watch(done, total)
-                chosen.write(selection.only(frame), part)
-                entry = zipfile.ZipInfo(_name(chosen, frame), EARLIEST)
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                with archive.open(entry, "w") as file:
-                    file.write(part.read_bytes())
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, frame in _files(chosen, selection):
+                chosen.write(frame, part)
+                entry = zipfile.ZipInfo(name, EARLIEST)
+                archive.writestr(entry, part.read_bytes(), zipfile.ZIP_DEFLATED)
     finally:
         part.unlink(missing_ok=True)
-    selection.watch(total, total)
 
 
 def write_folder(chosen: Format, selection: Selection, path: Path) -> None:
     """Write a file per frame into a folder, which is made; arguments as for `Format.write`."""
-    total = len(selection.frames)
     path.mkdir(parents=True, exist_ok=True)
+    for name, frame in _files(chosen, selection):
+        with replacing(path / name) as temporary:
+            chosen.write(frame, temporary)
+
+
+def _files(chosen: Format, selection: Selection) -> Iterator[tuple[str, Selection]]:
+    """The name of each frame's file, and the selection of that frame alone; watched."""
+    total = len(selection.frames)
     for done, frame in enumerate(selection.frames):
         selection.watch(done, total)
-        with replacing(path / _name(chosen, frame)) as temporary:
-            chosen.write(selection.only(frame), temporary)
+        yield f"frame-{frame:04d}{chosen.suffix}", selection.only(frame)
     selection.watch(total, total)
-
-
-def _name(chosen: Format, frame: int) -> str:
-    return f"frame-{frame:04d}{chosen.suffix}"

@@ -1,2 +1,4 @@
 from .neighbor_index import REACH as REACH
 from .neighbor_index import NeighborIndex as NeighborIndex
+from .signed_distance import cloud_distance as cloud_distance
+from .signed_distance import mesh_distance as mesh_distance

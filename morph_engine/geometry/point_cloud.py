@@ -70,3 +70,16 @@ def distance_to_other(
     """
     gap, _ = tree.query(distinct, k=[2], distance_upper_bound=bound, workers=workers)
     return np.where(copies > 1, 0.0, gap[:, 0])
+
+
+def farthest_points(points: Points, count: int) -> npt.NDArray[np.intp]:
+    """Indices of points that are far from each other, each the farthest from those before it.
+
+    The first is the farthest from the mean of all [dx]; shape [min(count, n)].
+    """
+    chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())]
+    gap = np.full(len(points), np.inf)
+    for _ in range(min(count, len(points)) - 1):
+        gap = np.minimum(gap, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+        chosen.append(int(gap.argmax()))
+    return np.array(chosen)

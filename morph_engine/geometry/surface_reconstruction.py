@@ -30,6 +30,9 @@ and bubbles; at 3, fine parts grow together, and it takes twice as long."""
 CELL_OVER_H = 0.375
 """Edge of a marching cube over the lattice spacing: some 40 000 vertices for 37 000 particles."""
 
+COARSE_CELL_OVER_H = 0.5
+"""Edge of a marching cube where only the topology counts."""
+
 ISO_LEVEL = 0.63
 """Colour at the surface, chosen so that the surface of a sphere's even lattice encloses the
 sphere's own volume; `docs/exports.md` has the measurements."""
@@ -42,6 +45,9 @@ REACH_OVER_H = 1e4
 
 SAMPLES = 20_000
 """Points that stand for a surface where two are compared."""
+
+
+Deviation = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,32 +122,22 @@ def reconstruct_surface(positions: npt.ArrayLike, spacing: float) -> Surface:
     Raises:
         MeshError: The positions have the wrong shape, or enclose nothing.
     """
-    points, _ = finite_points(positions)
-    if len(points):
-        from_middle = np.abs(points - np.median(points, axis=0))
-        points = points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
-    if not len(points):
-        raise MeshError("There are no particles to put a surface around.", "Choose another frame.")
-    radius = spacing / 2
-    found, _ = pysplashsurf.reconstruction_pipeline(
-        np.ascontiguousarray(points),
-        particle_radius=radius,
-        smoothing_length=KERNEL_OVER_H,  # in radii, and the kernel reaches twice as far
-        cube_size=CELL_OVER_H * spacing / radius,
-        iso_surface_threshold=ISO_LEVEL,
-        mesh_cleanup=True,
-        mesh_smoothing_iters=SMOOTHING,
-        mesh_smoothing_weights=True,
-        multi_threading=False,  # with threads, no two runs give the same bits
-    )
+    vertices, faces = _interpolated(positions, spacing, CELL_OVER_H, SMOOTHING)
     # smoothing adds up in any order, which the last bits of float64 tell; float32 is without them
-    vertices = np.asarray(found.mesh.vertices, np.float32).astype(np.float64)
-    faces = np.asarray(found.mesh.triangles)  # type: ignore[union-attr]
-    whole = _in_order(vertices, faces)
-    kept = _without_specks(whole, spacing**2) if len(faces) else whole
-    if not len(kept.faces):
-        raise MeshError("The particles enclose no volume.", "Choose another frame.")
-    return kept
+    vertices = vertices.astype(np.float32).astype(np.float64)
+    return _without_specks(_in_order(vertices, faces), spacing**2)
+
+
+def surface_euler(positions: npt.ArrayLike, spacing: float) -> int:
+    """Euler number of the reconstructed surface, from coarser cells and without smoothing it.
+
+    It is 2 for a ball and 0 for a torus; each further body or inner cavity adds 2, and each tunnel
+    takes 2 away. Holes narrower than the kernel's reach do not count. Arguments and errors are
+    those of `reconstruct_surface`, in a third of its time.
+    """
+    vertices, faces = _interpolated(positions, spacing, COARSE_CELL_OVER_H, 0)
+    surface = _without_specks(Surface(vertices, faces.astype(np.int32)), spacing**2)
+    return len(np.unique(surface.faces)) - len(surface.faces) // 2  # closed: 3/2 edges a face
 
 
 def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
@@ -154,9 +150,49 @@ def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
         ``mean``, ``rms`` and ``max`` from the surface to the target, and ``mean_back``,
         ``rms_back`` and ``max_back`` from the target to the surface [dx].
     """
-    there = _statistics(surface.vertices, surface.faces, target_mesh.vertices, target_mesh.faces)
-    back = _statistics(target_mesh.vertices, target_mesh.faces, surface.vertices, surface.faces)
-    return there | {f"{name}_back": value for name, value in back.items()}
+    there, back = deviations(surface, target_mesh)
+    return _statistics(there[0]) | {
+        f"{name}_back": value for name, value in _statistics(back[0]).items()
+    }
+
+
+def deviations(surface: Surface, target_mesh: Mesh) -> tuple[Deviation, Deviation]:
+    """How far a surface is off at each of 20 000 points of it, and of the target's.
+
+    Returns:
+        From the surface to the target, and back: distances to the nearest point of any triangle
+        of the other mesh [dx], and angles between the two triangles' normals there [degrees], shape
+        [20000], float64 both.
+    """
+    there = _deviation(surface.vertices, surface.faces, target_mesh.vertices, target_mesh.faces)
+    back = _deviation(target_mesh.vertices, target_mesh.faces, surface.vertices, surface.faces)
+    return there, back
+
+
+def _interpolated(
+    positions: npt.ArrayLike, spacing: float, cell_over_h: float, smoothing: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.integer]]:
+    """Vertices and faces where the colour of the particles falls to `ISO_LEVEL`, in any order."""
+    points, _ = finite_points(positions)
+    if len(points):
+        from_middle = np.abs(points - np.median(points, axis=0))
+        points = points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
+    if not len(points):
+        raise MeshError("There are no particles to put a surface around.", "Choose another frame.")
+    radius = spacing / 2
+    found, _ = pysplashsurf.reconstruction_pipeline(
+        np.ascontiguousarray(points),
+        particle_radius=radius,
+        smoothing_length=KERNEL_OVER_H,  # in radii, and the kernel reaches twice as far
+        cube_size=cell_over_h * spacing / radius,
+        iso_surface_threshold=ISO_LEVEL,
+        mesh_cleanup=smoothing > 0,
+        mesh_smoothing_iters=smoothing or None,
+        mesh_smoothing_weights=smoothing > 0,
+        multi_threading=False,  # with threads, no two runs give the same bits
+    )
+    faces = np.asarray(found.mesh.triangles)  # type: ignore[union-attr]
+    return np.asarray(found.mesh.vertices, np.float64), faces
 
 
 def _in_order(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]) -> Surface:
@@ -172,27 +208,42 @@ def _in_order(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer])
 
 def _without_specks(surface: Surface, least_area: float) -> Surface:
     """Drop parts that are too small for a particle: bubbles and splinters of the interpolation."""
-    kept = surface.part_areas[surface.part_of_face] >= least_area
+    kept = np.zeros(0, bool)
+    if len(surface.faces):
+        kept = surface.part_areas[surface.part_of_face] >= least_area
+    if not kept.any():
+        raise MeshError("The particles enclose no volume.", "Choose another frame.")
     if kept.all():
         return surface
     used, faces = np.unique(surface.faces[kept], return_inverse=True)
     return Surface(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32))
 
 
-def _statistics(
+def _deviation(
     vertices: npt.NDArray[np.float64],
     faces: npt.NDArray[np.int32],
     other_vertices: npt.NDArray[np.float64],
     other_faces: npt.NDArray[np.int32],
-) -> dict[str, float]:
+) -> Deviation:
     shape = trimesh.Trimesh(vertices, faces, process=False)
-    points, _ = trimesh.sample.sample_surface(shape, SAMPLES, seed=0)
-    squared, _, _ = igl.point_mesh_squared_distance(
+    points, on = trimesh.sample.sample_surface(shape, SAMPLES, seed=0)
+    squared, near, _ = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points, np.float64), other_vertices, other_faces.astype(np.int64)
     )
-    distance = np.sqrt(squared)
+    normals, others = (
+        igl.per_face_normals(corners, triangles.astype(np.int64), np.zeros(3))[on_these]
+        for corners, triangles, on_these in (
+            (vertices, faces, on),
+            (other_vertices, other_faces, near),
+        )
+    )
+    cosine = np.clip(np.einsum("pi,pi->p", normals, others), -1, 1)
+    return np.sqrt(squared), np.degrees(np.arccos(cosine))
+
+
+def _statistics(distance: npt.NDArray[np.float64]) -> dict[str, float]:
     return {
         "mean": float(distance.mean()),
-        "rms": float(np.sqrt(np.mean(squared))),
+        "rms": float(np.sqrt(np.mean(distance**2))),
         "max": float(distance.max()),
     }

@@ -14,6 +14,7 @@ from morph_engine.methods.options import MethodConfig, MethodOptions
 
 if TYPE_CHECKING:
     from morph_engine.backend import Backend
+    from morph_engine.geometry.mesh import Mesh
     from morph_engine.optimization import Event
 
 OptionsT = TypeVar("OptionsT", bound=MethodOptions)
@@ -27,11 +28,15 @@ class Problem:
         source: Particle positions at the start [dx], shape [n, 3], float32.
         target: Target points [dx], shape [m, 3], float32.
         config: The configuration.
+        source_mesh: The mesh that the source fills [dx]; None for a point cloud.
+        target_mesh: The mesh that the target fills [dx]; None for a point cloud.
     """
 
     source: NDArray[np.float32]
     target: NDArray[np.float32]
     config: MethodConfig
+    source_mesh: Mesh | None = None
+    target_mesh: Mesh | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,15 @@
+from .body import Body as Body
+from .body import measure_body as measure_body
 from .chamfer import COVERING_RADIUS_OVER_H as COVERING_RADIUS_OVER_H
 from .chamfer import chamfer_metrics as chamfer_metrics
 from .definitions import METRICS as METRICS
 from .definitions import MetricDefinition as MetricDefinition
 from .deformation import deformation_metrics as deformation_metrics
 from .deformation import determinants as determinants
+from .independent import mesh_metrics as mesh_metrics
+from .independent import surface_metrics as surface_metrics
+from .path import part_transfer as part_transfer
+from .path import path_metrics as path_metrics
 from .volume import density_ratio as density_ratio
 from .volume import fill_metrics as fill_metrics
 from .volume import outside_metrics as outside_metrics

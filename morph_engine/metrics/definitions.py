@@ -29,13 +29,16 @@ class MetricDefinition:
     Attributes:
         formula: Plain-text formula in the notation of this module.
         unit: ``dx`` (grid units), ``dx^2``, ``dx/s``, ``h`` (sample spacings), ``share`` (0 to 1),
-            ``count``, ``ratio``, ``energy`` (mass dx^2 / s^2) or ``-`` (a pure number).
+            ``count``, ``ratio``, ``energy`` (mass dx^2 / s^2), ``degrees`` or
+            ``-`` (a pure number).
         better: Direction of improvement: ``lower``, ``higher``, or ``one`` (the nearer to 1).
         meaning: What the number tells, in a few words.
     """
 
     formula: str
-    unit: Literal["dx", "dx^2", "dx/s", "s", "h", "share", "count", "ratio", "energy", "-"]
+    unit: Literal[
+        "dx", "dx^2", "dx/s", "s", "h", "h^2", "share", "count", "ratio", "energy", "degrees", "-"
+    ]
     better: Literal["lower", "higher", "one"]
     meaning: str
 
@@ -155,7 +158,7 @@ METRICS: dict[str, MetricDefinition] = {
         "mean_p sum of norm(moves beyond the motion of the grid in the frame)",
         "dx",
         "lower",
-        "what `transport` mends of the motion in a frame",
+        "what `transport` mends of the motion in a frame, and `flow` of its evenness",
     ),
     # how the frame was computed
     "dt": MetricDefinition("dt", "s", "higher", "time step, halved where a trial failed"),
@@ -195,5 +198,153 @@ METRICS |= {
     ),
     "outside_max": MetricDefinition(
         "max_{p outside} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
+    ),
+}
+METRICS |= {
+    # the path: bodies A_t, and their schedule from end to end
+    "area_min": MetricDefinition(
+        "min_t area(A_t) / schedule",
+        "ratio",
+        "one",
+        "a path that melts features away before it grows others",
+    ),
+    "area_max": MetricDefinition(
+        "max_t area(A_t) / schedule",
+        "ratio",
+        "one",
+        "a path that tears, frays or shows limbs twice",
+    ),
+    "volume_min": MetricDefinition(
+        "min_t volume(A_t) / schedule",
+        "ratio",
+        "one",
+        "matter pressed together on the way",
+    ),
+    "volume_max": MetricDefinition(
+        "max_t volume(A_t) / schedule",
+        "ratio",
+        "one",
+        "matter spread out on the way",
+    ),
+    "more_pieces": MetricDefinition(
+        "max_t #{pieces of A_t} beyond both ends",
+        "count",
+        "lower",
+        "crumbs on the way, down to a single particle",
+    ),
+    "more_euler": MetricDefinition(
+        "max_t Euler number of the surface beyond both ends",
+        "count",
+        "lower",
+        "holes, bubbles and bodies that neither end has, each 2",
+    ),
+    "d2_min": MetricDefinition(
+        "mean_p min_F mean_q norm(y_q - y_p - F (x_q - x_p))^2 / h^2",
+        "h^2",
+        "lower",
+        "how far neighbours q are shuffled, turns and stretches aside",
+    ),
+    "kept": MetricDefinition(
+        "mean_p #{neighbours at the start that are so at the end} / 12",
+        "share",
+        "higher",
+        "neighbours that stay so",
+    ),
+    "gap_p01": MetricDefinition(
+        "min_t 1 % quantile of d_other / h",
+        "h",
+        "higher",
+        "how near particles pass each other",
+    ),
+    "gap_min": MetricDefinition(
+        "min_t min_p d_other / h",
+        "h",
+        "higher",
+        "the nearest that two particles come",
+    ),
+    "geodesic": MetricDefinition(
+        "rms(g_1 - g_0) / mean(g_0)",
+        "ratio",
+        "lower",
+        "change of shortest paths g inside the body: like parts that part",
+    ),
+    "detour": MetricDefinition(
+        "sum_p length of path / sum_p norm(y_p - x_p)",
+        "ratio",
+        "lower",
+        "how far round the particles go",
+    ),
+    "action": MetricDefinition(
+        "(sum_t rms_p step)^2 / mean_p norm(y_p - x_p)^2",
+        "ratio",
+        "lower",
+        "kinetic action over its lower bound, both in the best timing",
+    ),
+    "settled": MetricDefinition(
+        "sum_p length of moves beyond the simulation / sum_p length of path",
+        "share",
+        "lower",
+        "motion that the simulation did not make",
+    ),
+    # the end against the mesh itself, by random points z of its volume
+    "dense_t2s": MetricDefinition(
+        "sqrt(mean_z d(z)^2)",
+        "dx",
+        "lower",
+        "how far the target's volume is from particles",
+    ),
+    "dense_floor": MetricDefinition(
+        "(V / N)^(1/3) / 2",
+        "dx",
+        "lower",
+        "`dense_t2s` of as many particles on a cubic lattice",
+    ),
+    "covered": MetricDefinition(
+        "mean_z [d(z) < 0.87 h]",
+        "share",
+        "higher",
+        "target volume that is not in a hole",
+    ),
+    "mesh_iou": MetricDefinition(
+        "volume(A n mesh) / volume(A u mesh)",
+        "share",
+        "higher",
+        "overlap of the body with the mesh, stick-out of the balls included",
+    ),
+    "mesh_iou_level": MetricDefinition(
+        "the same, A offset to the mesh's volume",
+        "share",
+        "higher",
+        "overlap of the body with the mesh",
+    ),
+    "density_p05": MetricDefinition(
+        "5 % quantile of rho(z)",
+        "ratio",
+        "one",
+        "density ratio that 5 % of the target's volume stay below",
+    ),
+    "density_p95": MetricDefinition(
+        "95 % quantile of rho(z)",
+        "ratio",
+        "one",
+        "density ratio that 95 % of the target's volume stay below",
+    ),
+    "surface_mean": MetricDefinition(
+        "max(mean d_S from the surface, mean d_S back)",
+        "dx",
+        "lower",
+        "how far the reconstructed surface is from the mesh",
+    ),
+    "surface_p95": MetricDefinition(
+        "max(95 % quantile of d_S from the surface, of d_S back)",
+        "dx",
+        "lower",
+        "distance that 95 % of the surface stay below",
+    ),
+    "normal_mean": MetricDefinition(
+        "mean angle(normal, normal at the nearest point)",
+        "degrees",
+        "lower",
+        "how rough the reconstructed surface is",
     ),
 }

@@ -91,21 +91,37 @@ class Simulation:
         Returns:
             Fault bits (`faults.NON_FINITE`, ...) of all these steps; 0 when all is well.
         """
-        p, private = self.material, self._private
-        largest_speed = self.largest_cells_per_step * self.grid.dx / self.dt
         self._faults[0] = 0
         for k in range(first, len(self.transitions)):
-            step = self._step(k)
-            particles_to_grid(
-                step, private.arrays, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
-                private.task_count, private.chunk_count, private.chunk_size,
-                self.grid, self._scheme,
-            )  # fmt: skip
-            grid_to_particles(
-                step, self._faults, self.dt, self.smoothing, self.domain, largest_speed,
-                self.grid, self._scheme,
-            )  # fmt: skip
+            self.to_nodes(k)
+            self.to_particles(k)
+        return self.faults
+
+    @property
+    def faults(self) -> int:
+        """Fault bits of the steps since `forward` began or `clear_faults`."""
         return int(self._faults[0])
+
+    def clear_faults(self) -> None:
+        """Forget faults, before steps made by `to_nodes` and `to_particles`."""
+        self._faults[0] = 0
+
+    def to_nodes(self, k: int = 0) -> None:
+        """First half of time step k: velocity and mass in `transitions[k].nodes`."""
+        p, private = self.material, self._private
+        particles_to_grid(
+            self._step(k), private.arrays, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt,
+            p.drag, private.task_count, private.chunk_count, private.chunk_size,
+            self.grid, self._scheme,
+        )  # fmt: skip
+
+    def to_particles(self, k: int = 0) -> None:
+        """Second half of time step k: layer k + 1 from the node velocities."""
+        largest_speed = self.largest_cells_per_step * self.grid.dx / self.dt
+        grid_to_particles(
+            self._step(k), self._faults, self.dt, self.smoothing, self.domain, largest_speed,
+            self.grid, self._scheme,
+        )  # fmt: skip
 
     def backward(self, last: int = 0, *, decay: float = 1.0) -> None:
         """Adjoint sweep from the gradient in `self.bar` down to layer `last` (algorithm 4).

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
@@ -304,14 +305,8 @@ def _pictures(
 
 def _turn(rotation: Floats, share: float) -> Floats:
     """A rotation after a share of a full turn about the axis that looks upright."""
-    angle = 2 * np.pi * share
-    c, s = np.cos(angle), np.sin(angle)
-    upward = _upward(rotation)
-    across = np.array(
-        [[0, -upward[2], upward[1]], [upward[2], 0, -upward[0]], [-upward[1], upward[0], 0]]
-    )
-    about: Floats = c * np.eye(3) + s * across + (1 - c) * np.outer(upward, upward)
-    return rotation @ about
+    turn: Floats = Rotation.from_rotvec(2 * np.pi * share * _upward(rotation)).as_matrix()
+    return rotation @ turn
 
 
 def _upward(rotation: Floats) -> Floats:

@@ -61,18 +61,10 @@ def shape_run(
     preset: str = "published",
     overrides: Mapping[str, Any] | None = None,
 ) -> Run:
-    """A run between two shapes of the paper.
+    """A run between two shapes of the paper, with `edge` particles per cell edge.
 
-    Args:
-        source: The paper's name of the source.
-        target: And of the target.
-        method: Registered method.
-        edge: Particles per cell edge.
-        variant: What sets it apart from the plain run, for its id.
-        seed: Seed of the jitter.
-        frames: Frames of 30 steps (points) or 10 layers (matter).
-        preset: Preset to start from.
-        overrides: Settings by dotted path.
+    Its id says what sets it apart from the plain run: variant, particles, seed. A frame has 30
+    steps of points, or 10 layers of matter.
     """
     parts = [
         source.lower(),
@@ -101,6 +93,19 @@ _fine_bunny = partial(_bunny, edge=4)
 
 def _row(label: str, *runs: Run, group: str = "", remark: str = "") -> Row:
     return Row(label, runs, group, remark)
+
+
+def _to_targets(*methods: tuple[str, str, int], group: str = "{target}") -> tuple[Row, ...]:
+    """From the sphere to each target by methods: label, method, particles per cell edge."""
+    return tuple(
+        _row(
+            f"{target}, {label}",
+            shape_run("Sphere", target, method, edge=edge),
+            group=group.format(target=target, edge=edge),
+        )
+        for target in TARGETS
+        for label, method, edge in methods
+    )
 
 
 def _regularised(variant: str, *weights: float) -> Run:
@@ -156,21 +161,14 @@ SHAPES_TABLE = Experiment(
     title="Generalisation over shapes",
     origin="Table 2",
     metrics=("two_sided", "s2t", "t2s", "f1", "overlap_h10"),
-    rows=tuple(
-        _row(
-            f"{target}, {label}",
-            shape_run("Sphere", target, method, edge=edge),
-            group=f"{target}, {edge} per edge",
-        )
-        for target in TARGETS
-        for label, method, edge in (
-            ("DCO", "dco", 4),
-            ("DCD", "dcd", 4),
-            ("Physics", "physics", 4),
-            ("DCO, 3 per edge", "dco", 3),
-            ("Physics, 3 per edge", "physics", 3),
-            ("Joint, 3 per edge", "joint", 3),
-        )
+    rows=_to_targets(
+        ("DCO", "dco", 4),
+        ("DCD", "dcd", 4),
+        ("Physics", "physics", 4),
+        ("DCO, 3 per edge", "dco", 3),
+        ("Physics, 3 per edge", "physics", 3),
+        ("Joint, 3 per edge", "joint", 3),
+        group="{target}, {edge} per edge",
     ),
     remarks=(
         "The printed physics column mixes two resolutions (algorithm 11); rows that end with "
@@ -183,11 +181,7 @@ SPHERE = Experiment(
     title="Sphere source",
     origin="Tables 3 and 4",
     metrics=(*CHAMFER, "hausdorff", "f1"),
-    rows=tuple(
-        _row(f"{target}, {method}", shape_run("Sphere", target, method), group=target)
-        for target in TARGETS
-        for method in ("physics", "joint")
-    ),
+    rows=_to_targets(("physics", "physics", 3), ("joint", "joint", 3)),
     remarks=("3 points per cell edge, frame 39. Joint is the paper's method.",),
 )
 
@@ -354,16 +348,12 @@ CONVERGENCE = Experiment(
     title="Distance over frames, Sphere source",
     origin="Figure: frame-wise convergence",
     metrics=("s2t",),
-    rows=tuple(
-        _row(f"{target}, {label}", shape_run("Sphere", target, method, edge=edge), group=target)
-        for target in TARGETS
-        for label, method, edge in (
-            ("DCO, 4 per edge", "dco", 4),
-            ("DCD, 4 per edge", "dcd", 4),
-            ("DCO, 3 per edge", "dco", 3),
-            ("Physics, 3 per edge", "physics", 3),
-            ("Joint, 3 per edge", "joint", 3),
-        )
+    rows=_to_targets(
+        ("DCO, 4 per edge", "dco", 4),
+        ("DCD, 4 per edge", "dcd", 4),
+        ("DCO, 3 per edge", "dco", 3),
+        ("Physics, 3 per edge", "physics", 3),
+        ("Joint, 3 per edge", "joint", 3),
     ),
     remarks=(
         "Raw curves; those of the paper are rescaled to meet its tables (algorithm 11).",
@@ -420,7 +410,7 @@ def _points_row(label: str, method: str, variant: str, overrides: Mapping[str, A
     """A method of points as tabulated, and converged."""
     stopped = _bunny(method, variant=variant, overrides=overrides)
     end = converged(method, variant, overrides)
-    return [_row(label, stopped, group="3"), _row(f"{label}, converged", end, group="3")]
+    return [_row(label, stopped), _row(f"{label}, converged", end)]
 
 
 FAIRNESS = Experiment(
@@ -432,26 +422,20 @@ FAIRNESS = Experiment(
     ),
     rows=(
         *_points_row("DCO", "dco", "", {}),
-        _row(
-            "DCO, epsilon 1e-8",
-            _bunny("dco", variant="eps8", overrides=CONVERGED),
-            group="3",
-        ),
+        _row("DCO, epsilon 1e-8", _bunny("dco", variant="eps8", overrides=CONVERGED)),
         *_points_row("DCD", "dcd", "", {}),
         *_points_row("DCD, inverse weights", "dcd", "inverse", INVERSE),
         *_points_row("Density-aware (Wu et al.)", "density_aware", "", {}),
         *_points_row("Shared basis", "shared_basis", "", {}),
-        _row("Physics", _bunny("physics"), group="3"),
+        _row("Physics", _bunny("physics")),
         _row(
             "Physics, smoothing 0.7 from frame 15",
             _bunny("physics", variant="override", overrides=OVERRIDE),
-            group="3",
         ),
-        _row("Joint", _bunny("joint"), group="3"),
+        _row("Joint", _bunny("joint")),
         _row(
             "Joint, preset fast",
             _bunny("joint").quick(),
-            group="3",
             remark="This project's default settings.",
         ),
     ),

@@ -2,8 +2,8 @@
 
 Three strategies minimise the same Chamfer loss: every point for itself (`dco`), the same with a
 local repulsive force (`dco_repulsion`), and an outline of 25 Fourier coefficients that all points
-share (`fourier`). `experiment.run_all` runs them in the paper's setting and to rest,
-`experiment.rows` makes the table, `figure.figure` the picture.
+share (`fourier`). `experiment.run_all` runs them in the paper's setting and to rest and makes the
+table, `figure.figure` the picture.
 
 What the result says:
 

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from chamfer_morph.reproduction.planar.config import PlanarConfig
-from chamfer_morph.reproduction.planar.experiment import PlanarRun, Setting
-from chamfer_morph.reproduction.planar.metrics import TIGHT_CLUSTER_RADIUS, PlanarMetrics, measure
-from chamfer_morph.reproduction.planar.shapes import circle, even_star, star
+from chamfer_morph.reproduction.planar.experiment import PlanarTable, Setting
+from chamfer_morph.reproduction.planar.metrics import TIGHT_CLUSTER_RADIUS, PlanarMetrics
+from chamfer_morph.reproduction.planar.shapes import star
 
 Points = npt.NDArray[np.float64]
 
@@ -22,51 +22,46 @@ INK, FAINT = "#222222", "#6b727c"
 COLORS = LinearSegmentedColormap.from_list("heaps", ("#2f78a8", "#7a4ea6", "#d12f6b", "#f26a1b"))
 HEAP = LogNorm(1, 30)
 
-_PANELS: dict[Setting, tuple[tuple[str, str], ...]] = {
-    "paper": (
-        ("dco", "each point for itself"),
-        ("dco_repulsion", "repulsion, weight 2e-4"),
-        ("fourier_clipped", "Fourier, clipped gradients"),
-        ("fourier", "Fourier"),
+_LINES: tuple[tuple[str, tuple[tuple[str, Setting, str], ...]], ...] = (
+    (
+        "as in the paper",
+        (
+            ("start", "reference", "start"),
+            ("dco", "paper", "each point for itself"),
+            ("dco_repulsion", "paper", "repulsion, weight 2e-4"),
+            ("fourier_clipped", "paper", "Fourier, clipped gradients"),
+            ("fourier", "paper", "Fourier"),
+        ),
     ),
-    "converged": (
-        ("dco", "each point for itself"),
-        ("dco_repulsion", "repulsion, weight 2e-4"),
-        ("dco_repulsion_tuned", "repulsion, weight 1e-7"),
-        ("fourier", "Fourier"),
+    (
+        "brought to rest",
+        (
+            ("even_spread", "reference", "ideal: an even spread"),
+            ("dco", "converged", "each point for itself"),
+            ("dco_repulsion", "converged", "repulsion, weight 2e-4"),
+            ("dco_repulsion_tuned", "converged", "repulsion, weight 1e-7"),
+            ("fourier", "converged", "Fourier"),
+        ),
     ),
-}
-"""Experiments and their titles, a row a setting."""
+)
+"""The panels by line: row of the table, title."""
 
 
-def figure(runs: tuple[PlanarRun, ...]) -> Figure:
+def figure(table: PlanarTable) -> Figure:
     """Start, ideal and end states of the strategies, in the paper's setting and at rest.
 
     A dot's colour and size tell how many points lie within .005 of it, so that a heap of thirty
     does not look like a single point. Lines show the way of every tenth point.
-
-    Args:
-        runs: From `run_all`.
     """
-    config = PlanarConfig()
-    target = star(config)
-    by_name = {(each.experiment.name, each.experiment.setting): each for each in runs}
+    target = star(PlanarConfig().target_count)
     picture = Figure(figsize=(13.0, 5.7), layout="constrained")
     axes = picture.subplots(2, 5)
-
-    for panel, points, title in (
-        (axes[0, 0], circle(config), "start"),
-        (axes[1, 0], even_star(config, config.point_count), "ideal: an even spread"),
-    ):
-        _draw(panel, target, points[None])
-        _describe(panel, title, measure(points, target))
-    manners = "as in the paper", "brought to rest"
-    for line, setting, manner in zip(axes, _PANELS, manners, strict=True):
-        for panel, (name, title) in zip(line[1:], _PANELS[setting], strict=True):
-            run = by_name[name, setting]
-            _draw(panel, target, run.trajectory)
-            _describe(panel, title, run.metrics)
-        line[1].set_ylabel(f"{manner}\n{by_name['dco', setting].steps[-1]} steps", color=INK)
+    for line, (manner, panels) in zip(axes, _LINES, strict=True):
+        for panel, (name, setting, title) in zip(line, panels, strict=True):
+            row = table[name, setting]
+            _draw(panel, target, row.trajectory)
+            _describe(panel, title, row.metrics)
+        line[1].set_ylabel(f"{manner}\n{table['dco', panels[1][1]].steps} steps", color=INK)
 
     bar = picture.colorbar(ScalarMappable(HEAP, COLORS), ax=axes, shrink=0.6, pad=0.01, aspect=30)
     bar.set_label(f"points within {TIGHT_CLUSTER_RADIUS:g} of this one, itself included")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,21 +11,15 @@ from chamfer_morph.reproduction.planar.config import PlanarConfig
 
 Array = npt.NDArray[np.float64]
 
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+"""Of Adam."""
 
-def clip(gradient: Array, percentile: float, unit: Literal["point", "component"]) -> Array:
-    """Cut what is longer than a percentile of the lengths down to it.
 
-    Args:
-        gradient: Shape [n, d], float64.
-        percentile: 0 to 100.
-        unit: A length belongs to a point's vector, or to each of its components.
-
-    Returns:
-        The clipped gradient, shape [n, d].
-    """
-    length = np.linalg.norm(gradient, axis=1, keepdims=True) if unit == "point" else abs(gradient)
+def clip(gradient: Array, percentile: float) -> Array:
+    """Cut vectors that are longer than a percentile (0 to 100) of all down to it, shape [n, d]."""
+    length: Array = np.linalg.norm(gradient, axis=1, keepdims=True)
     limit = np.percentile(length, percentile)
-    scale = np.divide(limit, length, out=np.ones_like(length), where=length > limit)
+    scale: Array = np.divide(limit, length, out=np.ones_like(length), where=length > limit)
     return gradient * scale
 
 
@@ -48,8 +41,8 @@ class Optimizer:
         self._count += 1
         if config.optimizer == "gradient_descent":
             return rate * gradient
-        self._mean = config.beta1 * self._mean + (1 - config.beta1) * gradient
-        self._square = config.beta2 * self._square + (1 - config.beta2) * gradient**2
-        mean = self._mean / (1 - config.beta1**self._count)
-        square = self._square / (1 - config.beta2**self._count)
-        return rate * mean / (np.sqrt(square) + config.epsilon)
+        self._mean = BETA1 * self._mean + (1 - BETA1) * gradient
+        self._square = BETA2 * self._square + (1 - BETA2) * gradient**2
+        mean = self._mean / (1 - BETA1**self._count)
+        square = self._square / (1 - BETA2**self._count)
+        return rate * mean / (np.sqrt(square) + EPSILON)

@@ -6,24 +6,14 @@ does not follow is that a run must collapse: cells change, collapsed points sepa
 clusters, Adam rescales, and a penalty that leaves a centroid alone still keeps points apart.
 """
 
-from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
+from chamfer_morph.reproduction.propositions.check import Check, Quantity
 from chamfer_morph.reproduction.propositions.collapse import proposition_1
 from chamfer_morph.reproduction.propositions.coupling import corollary_1
 from chamfer_morph.reproduction.propositions.drift import proposition_3
 from chamfer_morph.reproduction.propositions.figure import figure
 from chamfer_morph.reproduction.propositions.separation import proposition_2
 
-__all__ = [
-    "Check",
-    "Limit",
-    "Quantity",
-    "all_checks",
-    "corollary_1",
-    "figure",
-    "proposition_1",
-    "proposition_2",
-    "proposition_3",
-]
+__all__ = ["Check", "Quantity", "all_checks", "figure"]
 
 
 def all_checks() -> tuple[Check, ...]:

@@ -11,9 +11,16 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
+from chamfer_morph.reproduction.planar.chamfer import nearest
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
-from chamfer_morph.reproduction.propositions.scene import CENTER, FORWARD, TARGETS, cluster
+from chamfer_morph.reproduction.propositions.scene import (
+    CENTER,
+    TARGETS,
+    Gradient,
+    chamfer_gradient,
+    cluster,
+    forward_gradient,
+)
 
 Points = npt.NDArray[np.float64]
 Coupling = Callable[[Points, Points], Points]
@@ -29,7 +36,6 @@ def proposition_1() -> Check:
     """Measure gradient, Hessian, contraction and end state of a cluster in one cell."""
     points = cluster()
     count = len(points)
-    gradient = FORWARD(points, TARGETS)[1]
     curvature = count / 2 * _hessian(points)
     way = descend(points, STEPS)
     distance = np.linalg.norm(way - CENTER, axis=-1)
@@ -43,7 +49,7 @@ def proposition_1() -> Check:
         quantities=(
             Quantity(
                 "largest deviation of the gradient from 2/N (p - q*)",
-                float(abs(gradient - 2 / count * (points - CENTER)).max()),
+                float(abs(forward_gradient(points) - 2 / count * (points - CENTER)).max()),
                 0.0,
                 tolerance=1e-15,
             ),
@@ -87,7 +93,7 @@ def proposition_1() -> Check:
 def descend(
     points: Points,
     steps: int,
-    loss: ChamferLoss = FORWARD,
+    gradient: Gradient = forward_gradient,
     coupling: Coupling = lambda points, direction: direction,
 ) -> Points:
     """Plain descent with 2 eta / N = `RATE`: the positions before and after each step.
@@ -95,7 +101,7 @@ def descend(
     Args:
         points: Shape [n, 2], float64.
         steps: How many.
-        loss: Of which term.
+        gradient: Of which terms.
         coupling: Velocity from the positions and the descent direction of each point.
 
     Returns:
@@ -103,7 +109,7 @@ def descend(
     """
     way = [points]
     for _ in range(steps):
-        direction = -loss(way[-1], TARGETS)[1]
+        direction = -gradient(way[-1])
         way.append(way[-1] + RATE * len(points) / 2 * coupling(way[-1], direction))
     return np.stack(way)
 
@@ -115,7 +121,7 @@ def _hessian(points: Points, step: float = 1e-6) -> Points:
         ahead, behind = points.copy(), points.copy()
         ahead.flat[index] += step
         behind.flat[index] -= step
-        change = FORWARD(ahead, TARGETS)[1] - FORWARD(behind, TARGETS)[1]
+        change = forward_gradient(ahead) - forward_gradient(behind)
         columns.append(change.ravel() / (2 * step))
     return np.column_stack(columns)
 
@@ -132,5 +138,5 @@ def _points_per_target() -> float:
 
 
 def _stayed() -> float:
-    rest = descend(cluster(), STEPS, ChamferLoss())[-1]
+    rest = descend(cluster(), STEPS, chamfer_gradient)[-1]
     return float(np.mean(nearest(rest, TARGETS) == 0))

@@ -14,16 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from chamfer_morph.reproduction.planar.config import Strategy, converged_setting
-from chamfer_morph.reproduction.planar.experiment import Experiment, run
-from chamfer_morph.reproduction.planar.metrics import PlanarMetrics
+from chamfer_morph.reproduction.planar.experiment import optimize
+from chamfer_morph.reproduction.planar.metrics import PlanarMetrics, measure
+from chamfer_morph.reproduction.planar.shapes import star
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.collapse import RATE, Coupling, descend
 from chamfer_morph.reproduction.propositions.drift import drift, penalty_force
 from chamfer_morph.reproduction.propositions.scene import (
-    FORWARD,
-    TARGETS,
     cluster,
     elsewhere,
+    forward_gradient,
     spread,
 )
 
@@ -128,7 +128,7 @@ def grid(points: Points, direction: Points) -> Points:
 def coupled_drift(coupling: Coupling) -> float:
     """Drift of the cluster under a coupling, as a multiple of 2 eta / N (centroid - q*)."""
     points, members = _scene()
-    direction = -FORWARD(points, TARGETS)[1]
+    direction = -forward_gradient(points)
     return drift(points, coupling(points, direction) - direction, members=members)
 
 
@@ -157,7 +157,7 @@ def _node_weights(points: Points) -> Points:
 def _far_influence(coupling: Coupling) -> float:
     """How much the cluster's mean velocity depends on what points outside it want."""
     points, members = _scene()
-    direction = -FORWARD(points, TARGETS)[1]
+    direction = -forward_gradient(points)
     turned = direction.copy()
     turned[members:] = direction[members:] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     before, after = (coupling(points, each)[:members].mean(axis=0) for each in (direction, turned))
@@ -173,4 +173,4 @@ def _planar_end(strategy: Strategy, repulsion_weight: float = 0.0) -> PlanarMetr
     """Circle to star at rest."""
     config = converged_setting(strategy, steps=1500, repulsion_weight=repulsion_weight)
     small = config.model_copy(update={"point_count": 200, "target_count": 100})
-    return run(Experiment(strategy, "converged", small), snapshots=2).metrics
+    return measure(optimize(small)[-1], star(small.target_count))

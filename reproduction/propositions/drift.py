@@ -20,10 +20,9 @@ from chamfer_morph.reproduction.propositions.penalties import (
 )
 from chamfer_morph.reproduction.propositions.scene import (
     CENTER,
-    FORWARD,
-    TARGETS,
     cluster,
     elsewhere,
+    forward_gradient,
 )
 
 Points = npt.NDArray[np.float64]
@@ -100,7 +99,7 @@ def drift(points: Points, force: Points, *, members: int | None = None) -> float
     Returns:
         1 where the drift is 2 eta / N (centroid - q*), for any eta.
     """
-    velocity = force - FORWARD(points, TARGETS)[1]
+    velocity = force - forward_gradient(points)
     centroid = points[:members].mean(axis=0) - CENTER
     step = velocity[:members].mean(axis=0)
     return float(-step @ centroid / (2 / len(points) * centroid @ centroid))
@@ -120,13 +119,13 @@ def one_sided_drift(weight: float) -> float:
     return drift(points, weight * repulsion(points, neighbors=NEIGHBORS))
 
 
-def adam_displacement(weight: float, steps: int = 20) -> float:
-    """How far Adam moves the centroid, with repulsion of this weight inside the cluster."""
+def adam_displacement(weight: float) -> float:
+    """How far 20 steps of Adam move the centroid, with repulsion of this weight in the cluster."""
     points = start = cluster()
     descent = Optimizer(PlanarConfig(optimizer="adam", learning_rate=0.002))
-    for _ in range(steps):
+    for _ in range(20):
         force = penalty_force("repulsion", points, weight)
-        points = points - descent(FORWARD(points, TARGETS)[1] - force)
+        points = points - descent(forward_gradient(points) - force)
     return float(np.linalg.norm((points - start).mean(axis=0)))
 
 
@@ -135,5 +134,4 @@ def _weighted_drift(points: Points) -> float:
     lists = neighbor_lists(points, NEIGHBORS)
     distance = np.linalg.norm(points[:, None] - points[lists], axis=-1).mean(axis=1)
     weight = len(points) / distance / np.sum(1 / distance)
-    gradient = FORWARD(points, TARGETS)[1]
-    return drift(points, (1 - weight)[:, None] * gradient)
+    return drift(points, (1 - weight)[:, None] * forward_gradient(points))

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from scipy.spatial import Voronoi
 
-from chamfer_morph.reproduction.planar.chamfer import ChamferLoss
 from chamfer_morph.reproduction.propositions.collapse import RATE, STEPS, descend
 from chamfer_morph.reproduction.propositions.coupling import (
     basis,
@@ -25,7 +24,13 @@ from chamfer_morph.reproduction.propositions.drift import (
     one_sided_drift,
     penalty_force,
 )
-from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS, cluster, spread
+from chamfer_morph.reproduction.propositions.scene import (
+    CENTER,
+    TARGETS,
+    cluster,
+    reverse_gradient,
+    spread,
+)
 from chamfer_morph.reproduction.propositions.separation import COUNT, apart, moving
 
 Points = npt.NDArray[np.float64]
@@ -74,10 +79,8 @@ def _collapse_rate(panel: Axes) -> None:
 def _separation_scene(panel: Axes) -> None:
     _cells(panel, "Proposition 2\ncoincident points share one pull")
     panel.set(xlim=(-1.5, 1.5), ylim=(-1.35, 1.35))
-    reverse = ChamferLoss(forward=0.0)
-    nearby = apart(0.3)
-    for points, color in ((nearby, ORANGE), (np.tile(CENTER, (COUNT, 1)), BLUE)):
-        pull = -reverse(points, TARGETS)[1]
+    for points, color in ((apart(0.3), ORANGE), (np.tile(CENTER, (COUNT, 1)), BLUE)):
+        pull = -reverse_gradient(points)
         strong = np.linalg.norm(pull, axis=1) > 0
         panel.plot(*points.T, "o", markersize=4, color=color, zorder=3)
         panel.quiver(

@@ -8,11 +8,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from chamfer_morph.reproduction.planar.chamfer import ChamferLoss, nearest
+from chamfer_morph.reproduction.planar.chamfer import nearest
 from chamfer_morph.reproduction.planar.shapes import directions
 from chamfer_morph.reproduction.propositions.check import Check, Limit, Quantity
 from chamfer_morph.reproduction.propositions.collapse import STEPS, descend
-from chamfer_morph.reproduction.propositions.scene import CENTER, TARGETS
+from chamfer_morph.reproduction.propositions.scene import (
+    CENTER,
+    TARGETS,
+    chamfer_gradient,
+    reverse_gradient,
+)
 
 Points = npt.NDArray[np.float64]
 
@@ -23,9 +28,9 @@ COUNT = 12
 def proposition_2() -> Check:
     """Measure the gradients of k points at one target, and of k points almost there."""
     collapsed = np.tile(CENTER, (COUNT, 1))
-    reverse = ChamferLoss(forward=0.0)(collapsed, TARGETS)[1]
-    both = ChamferLoss()(collapsed, TARGETS)[1]
-    rest = descend(collapsed, STEPS, ChamferLoss())[-1]
+    reverse = reverse_gradient(collapsed)
+    both = chamfer_gradient(collapsed)
+    rest = descend(collapsed, STEPS, chamfer_gradient)[-1]
     moved = np.linalg.norm(reverse, axis=1) > 0
     chosen = int(np.argmax(moved))
     formula = -2 / len(TARGETS) * (TARGETS - CENTER).sum(axis=0)
@@ -70,7 +75,7 @@ def proposition_2() -> Check:
                     "Descent then takes them apart, so that collapse is no deadlock for points "
                     "that come near a target without reaching it, as descent lets them.",
                     f"targets used after {STEPS} steps of both terms, from 1e-9 apart",
-                    targets_used(descend(apart(1e-9), STEPS, ChamferLoss())[-1]),
+                    targets_used(descend(apart(1e-9), STEPS, chamfer_gradient)[-1]),
                 ),
             )
         ),
@@ -87,8 +92,7 @@ def apart(distance: float) -> Points:
 
 def moving(points: Points) -> npt.NDArray[np.bool_]:
     """Which points have a reverse gradient, shape [k]."""
-    reverse = ChamferLoss(forward=0.0)(points, TARGETS)[1]
-    strong: npt.NDArray[np.bool_] = np.linalg.norm(reverse, axis=1) > 0
+    strong: npt.NDArray[np.bool_] = np.linalg.norm(reverse_gradient(points), axis=1) > 0
     return strong
 
 

@@ -201,8 +201,9 @@ def _pair_points(table: Table, source: str, origin: str) -> list[tuple[float, fl
     return points
 
 
-def printed_against_ours(table: Table, metric: str = "two_sided") -> Figure:
-    """Each row's printed number, the published program's and ours, with the spread of repeats."""
+def printed_against_ours(table: Table) -> Figure:
+    """Each row's two-sided distance: printed, the published program's and ours, with its spread."""
+    metric = "two_sided"
     lines = [line for line in table.lines if line.cells[metric].ours is not None]
     with style():
         figure = Figure(figsize=(7.2, 0.9 + 0.27 * max(3, len(lines))), layout="constrained")

@@ -71,12 +71,7 @@ def _cost(table: Table) -> list[str]:
 
 
 def bounds(table: Table, labels: Sequence[str] | None = None) -> list[str]:
-    """The worst of each bounded metric, its median, and which rows are beyond a bound.
-
-    Args:
-        table: The numbers.
-        labels: Of the rows; all by default.
-    """
+    """The worst of each bounded metric, its median, and which rows are beyond a bound."""
     extremes, beyond = [], []
     for metric, name, words, least, greatest in BOUNDS:
         values = table.numbers(metric, labels)

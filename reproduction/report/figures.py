@@ -35,14 +35,7 @@ DrawFunction = Callable[[Table, Store], Figure]
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of the report.
-
-    Attributes:
-        name: Stem of its files.
-        caption: What it shows.
-        png: The image; empty if it could not be drawn.
-        problem: Why not.
-    """
+    """A figure of the report, or the problem for which it could not be drawn."""
 
     name: str
     caption: str

@@ -16,12 +16,7 @@ Finding = Callable[[Table], list[str]]
 
 @dataclass
 class WinCount:
-    """How often the first of two rows is better.
-
-    Attributes:
-        better: Labels of the comparisons won.
-        worse: Labels of those not won.
-    """
+    """What was compared where the first of two rows is better, and where it is not."""
 
     better: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)
@@ -35,12 +30,7 @@ def compare(
 ) -> WinCount:
     """Count where one row is better than another; comparisons without both numbers are left out.
 
-    Args:
-        table: The numbers.
-        names: What is compared.
-        first: Label of the first row, with {} for the name.
-        second: And of the second.
-        metric: By which number.
+    Labels have {} for the name.
     """
     score = WinCount()
     for name, (a, b) in table.pairs(names, first, second, metric).items():

@@ -24,15 +24,7 @@ _STYLE = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 
 
 def report(sections: Sequence[Section], *, made: str) -> str:
-    """The whole report.
-
-    Args:
-        sections: In order.
-        made: A sentence on when and with what it was made.
-
-    Returns:
-        HTML that asks the network for nothing.
-    """
+    """The whole report; a sentence says when and with what it was made."""
     body = "\n".join(_section(section) for section in sections)
     entries = "\n".join(
         f'<li><a href="#{escape(s.name)}">{escape(s.title)}</a> '

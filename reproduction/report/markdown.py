@@ -22,15 +22,7 @@ INTRODUCTION = (
 
 
 def markdown(sections: Sequence[Section], *, made: str) -> str:
-    """The whole report.
-
-    Args:
-        sections: In order.
-        made: A sentence on when and with what it was made.
-
-    Returns:
-        Markdown that refers to the figures in `figures` and the numbers in `tables`.
-    """
+    """The whole report; it refers to the figures in `figures` and the numbers in `tables`."""
     parts = [f"# {TITLE}", INTRODUCTION, made, *map(_section, sections)]
     return "\n\n".join(parts) + "\n"
 

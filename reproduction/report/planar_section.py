@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 
-from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarRun, rows, run_all
+from chamfer_morph.reproduction.planar.config import PlanarConfig
+from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarTable, run_all
 from chamfer_morph.reproduction.planar.figure import figure
 from chamfer_morph.reproduction.report.figures import save
 from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
@@ -41,8 +42,8 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
     Raises:
         OSError: The folder cannot be written.
     """
-    runs = run_all()
-    table = rows(runs)
+    table = run_all()
+    rows = table.values()
     return Section(
         name=name,
         title=title,
@@ -55,28 +56,27 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
             "evenly over the star lie 0.0135 apart, closer than its 0.02.",
         ),
         table=display_table(
-            [(_label(r), f"{r.steps} steps" if r.steps else "", _cells(r)) for r in table], NAMES
+            [(_label(r), f"{r.steps} steps" if r.steps else "", _cells(r)) for r in rows], NAMES
         ),
-        csv=_csv(table, runs),
+        csv=_csv(rows),
         figures=(
             save(
-                figure(runs),
+                figure(table),
                 figures / f"{name}-ends",
                 "Where the points start and end; colour and size tell how many lie in a heap.",
             ),
         ),
-        provenance=tuple(_source(run) for run in runs),
+        provenance=tuple(_source(row, row.config) for row in rows if row.config),
     )
 
 
-def findings(table: Sequence[PlanarRow]) -> list[str]:
+def findings(table: PlanarTable) -> list[str]:
     """What the numbers show, beside the paper's claims."""
-    by_place = {(row.name, row.setting): row for row in table}
-    start = by_place["start", "reference"]
-    ideal = by_place["even_spread", "reference"]
-    dco, fourier = by_place["dco", "paper"], by_place["fourier", "paper"]
-    dco_rest, fourier_rest = by_place["dco", "converged"], by_place["fourier", "converged"]
-    tuned = by_place["dco_repulsion_tuned", "converged"]
+    numbers = {place: row.metrics for place, row in table.items()}
+    start, ideal = numbers["start", "reference"], numbers["even_spread", "reference"]
+    dco, fourier = numbers["dco", "paper"], numbers["fourier", "paper"]
+    dco_rest, fourier_rest = numbers["dco", "converged"], numbers["fourier", "converged"]
+    tuned = numbers["dco_repulsion_tuned", "converged"]
     return [
         f"In the paper's setting DCO goes from {start.cd:.3f} to {dco.cd:.3f} (printed 0.352), "
         f"{1 - dco.cd / start.cd:.0%} less: it has hardly begun. The shared basis ends at "
@@ -100,13 +100,12 @@ def _label(row: PlanarRow) -> str:
 
 def _cells(row: PlanarRow) -> dict[str, Cell]:
     return {
-        column: Cell(getattr(row.printed, column, None), ours=getattr(row, column))
+        column: Cell(getattr(row.printed, column, None), ours=getattr(row.metrics, column))
         for column in NAMES
     }
 
 
-def _csv(table: Sequence[PlanarRow], runs: Sequence[PlanarRun]) -> str:
-    settings = {(r.experiment.name, r.experiment.setting): _settings(r) for r in runs}
+def _csv(rows: Iterable[PlanarRow]) -> str:
     version = metadata.version(VERSION)
     lines = (
         (
@@ -115,25 +114,24 @@ def _csv(table: Sequence[PlanarRow], runs: Sequence[PlanarRun]) -> str:
             format_exact(cell.printed),
             format_exact(cell.ours),
             row.steps,
-            settings.get((row.name, row.setting), ""),
+            _settings(row.config) if row.config else "",
             version,
         )
-        for row in table
+        for row in rows
         for column, cell in _cells(row).items()
     )
     return csv_text(("row", "metric", "printed", "ours", "steps", "config", "version"), lines)
 
 
-def _settings(run: PlanarRun) -> str:
-    return run.experiment.config.model_dump_json(exclude_defaults=True)
+def _settings(config: PlanarConfig) -> str:
+    return config.model_dump_json(exclude_defaults=True)
 
 
-def _source(run: PlanarRun) -> Provenance:
-    config = run.experiment.config
+def _source(row: PlanarRow, config: PlanarConfig) -> Provenance:
     return Provenance(
-        run=f"{run.experiment.name}, {run.experiment.setting}",
+        run=f"{row.name}, {row.setting}",
         digest="",
-        config=_settings(run),
+        config=_settings(config),
         size=f"{config.point_count} → {config.target_count}, {config.steps} steps",
         cost="",
         version=metadata.version(VERSION),

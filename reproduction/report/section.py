@@ -109,9 +109,7 @@ def display_table(
 ) -> DisplayTable:
     """Printed, published program, ours, difference; columns without any number are left out.
 
-    Args:
-        rows: Name, remark and numbers by metric of each row, all of the same metrics.
-        names: Of metrics, for the headings.
+    Rows have a name, a remark, and numbers by metric, all of the same metrics.
     """
     columns = [
         (metric, kind)

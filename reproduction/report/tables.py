@@ -127,14 +127,7 @@ class Table:
     def pairs(
         self, names: Iterable[str], first: str, second: str, metric: str
     ) -> dict[str, tuple[float, float]]:
-        """Our numbers of two rows for each name, where there are both.
-
-        Args:
-            names: What is compared.
-            first: Label of the first row, with {} for the name.
-            second: And of the second.
-            metric: Which number.
-        """
+        """Our numbers of two rows for each name, where there are both; labels have {} for it."""
         found = {}
         for name in names:
             a, b = (self.ours(label.format(name), metric) for label in (first, second))

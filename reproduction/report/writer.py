@@ -36,12 +36,7 @@ class Output:
 def write(
     experiments: Sequence[AnyExperiment], records: Mapping[str, Record], store: Store
 ) -> Output:
-    """Write tables, figures and the report into the folder of a store.
-
-    Args:
-        experiments: What was asked for.
-        records: What has been computed, by run id.
-        store: Its folder, and where the frames are.
+    """Write tables, figures and the report into the folder of a store; records are by run id.
 
     Raises:
         ResultError: The disk refuses.

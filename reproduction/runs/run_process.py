@@ -22,16 +22,7 @@ from morph_engine.results.trajectory import Trajectory
 
 
 def compute(run: Run, store: Store, meshes: MeshFolder, *, threads: int) -> Record:
-    """Compute a run on the CPU and store its record.
-
-    Args:
-        run: What to compute.
-        store: Where its result goes.
-        meshes: Where its meshes are.
-        threads: CPU threads.
-
-    Returns:
-        Its record.
+    """Compute a run on the CPU, store its record and return it.
 
     Raises:
         MorphError: It cannot be computed.

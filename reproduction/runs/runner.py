@@ -90,15 +90,8 @@ def execute(
 ) -> dict[str, Record]:
     """Compute runs that are not in the store yet, the costly ones first.
 
-    Args:
-        runs: What is wanted.
-        store: Where results are and go.
-        meshes: Where meshes are.
-        jobs: Runs at the same time; the cores are shared among them.
-        on_progress: Told how far it is, several times a second.
-
-    Returns:
-        The records of all runs by id, failed ones included.
+    So many jobs at a time share the cores; progress is reported several times a second. Returns
+    the records of all runs by id, failed ones included.
 
     Raises:
         MorphError: A mesh is missing or a setting unknown; nothing has been computed then.

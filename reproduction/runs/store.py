@@ -162,12 +162,6 @@ def _surface(result: Trajectory) -> dict[str, float]:
 def record_from_result(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:
     """The record of a finished run, taken from its result file.
 
-    Args:
-        run: What was run.
-        digest: Its digest.
-        result: Its result file.
-        cpu_seconds: What it cost [s].
-
     Raises:
         ResultError: The file is damaged.
     """

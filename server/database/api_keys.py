@@ -8,10 +8,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import sqlalchemy as sa
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
 
 from chamfer_morph.schemas import Key, Scope
-from chamfer_morph.server.database.tables import KEYS, as_time, now
+from chamfer_morph.server.database.tables import KeyRow, as_time, insert, now
 
 PREFIX = "morph_"
 SCOPE_ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
@@ -52,15 +52,11 @@ class ApiKeyStore:
 
     def callers(self) -> dict[str, Caller]:
         """Every key's caller by the digest of its secret."""
-        with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(KEYS.c.digest, KEYS.c.name, KEYS.c.scopes)).all()
-        return {row.digest: Caller(row.name, _widest(row.scopes.split())) for row in rows}
+        return {row.digest: Caller(row.name, _key(row).scopes[-1]) for row in self._rows()}
 
     def all(self) -> list[Key]:
         """All keys, the oldest first."""
-        with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(KEYS).order_by(KEYS.c.created_at)).all()
-        return [_key(row) for row in rows]
+        return [_key(row) for row in self._rows()]
 
     def add(self, name: str, scopes: Collection[Scope]) -> tuple[Key, str] | None:
         """Make a key.
@@ -69,25 +65,18 @@ class ApiKeyStore:
             The key and its secret, which is shown this once; None if the name is taken.
         """
         secret = PREFIX + secrets.token_urlsafe(32)
-        ordered = [scope for scope in SCOPE_ORDER if scope in scopes]
-        created_at = now()
-        row = {
-            "name": name,
-            "digest": secret_digest(secret),
-            "scopes": " ".join(ordered),
-            "created_at": created_at,
-        }
-        try:
-            with self._engine.begin() as connection:
-                connection.execute(KEYS.insert().values(row))
-        except IntegrityError:
-            return None
-        return Key(name=name, scopes=ordered, created_at=as_time(created_at)), secret
+        ordered = " ".join(scope for scope in SCOPE_ORDER if scope in scopes)
+        row = KeyRow(name, secret_digest(secret), ordered, now())
+        return (_key(row), secret) if insert(self._engine, row) else None
 
     def remove(self, name: str) -> bool:
         """Revoke a key; False if there is none of that name."""
         with self._engine.begin() as connection:
-            return bool(connection.execute(KEYS.delete().where(KEYS.c.name == name)).rowcount)
+            return bool(connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount)
+
+    def _rows(self) -> list[KeyRow]:
+        with Session(self._engine) as session:
+            return [*session.scalars(sa.select(KeyRow).order_by(KeyRow.created_at))]
 
 
 def secret_digest(secret: str) -> str:
@@ -95,9 +84,6 @@ def secret_digest(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def _widest(scopes: Collection[str]) -> Scope:
-    return next((scope for scope in reversed(SCOPE_ORDER) if scope in scopes), "read")
-
-
-def _key(row: sa.Row[tuple[object, ...]]) -> Key:
-    return Key(name=row.name, scopes=row.scopes.split(), created_at=as_time(row.created_at))
+def _key(row: KeyRow) -> Key:
+    scopes = [scope for scope in SCOPE_ORDER if scope in row.scopes.split()]
+    return Key(name=row.name, scopes=scopes, created_at=as_time(row.created_at))

@@ -12,22 +12,20 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, Session, mapped_column
 
-METADATA = sa.MetaData()
-
-KEYS = sa.Table(
-    "morph_keys",
-    METADATA,
-    sa.Column("name", sa.String(64), primary_key=True),
-    sa.Column("digest", sa.String(64), nullable=False, unique=True),
-    sa.Column("scopes", sa.String(64), nullable=False),
-    sa.Column("created_at", sa.BigInteger, nullable=False),
-)
-
 
 class Row(MappedAsDataclass, DeclarativeBase):
     """Base of rows that are objects, too."""
 
-    metadata = METADATA
+
+class KeyRow(Row):
+    """A key, the digest of its secret, its scopes, and when it was made [microseconds]."""
+
+    __tablename__ = "morph_keys"
+
+    name: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
+    digest: Mapped[str] = mapped_column(sa.String(64), unique=True)
+    scopes: Mapped[str] = mapped_column(sa.String(64))
+    created_at: Mapped[int] = mapped_column(sa.BigInteger)
 
 
 class MeshRow(Row):
@@ -62,7 +60,7 @@ def create(engine: sa.Engine) -> None:
     with engine.begin() as connection:
         if engine.dialect.name == "postgresql":
             connection.execute(sa.text("select pg_advisory_xact_lock(7310245)"))
-        for table in METADATA.sorted_tables:
+        for table in Row.metadata.sorted_tables:
             connection.execute(sa.schema.CreateTable(table, if_not_exists=True))
             for index in table.indexes:
                 connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 from typing import Annotated
 
 from fastapi import Query
+from pydantic import Field, TypeAdapter
 
 from chamfer_morph.server.http.problems import ProblemError
 
@@ -16,6 +16,13 @@ Cursor = Annotated[
     str | None,
     Query(max_length=200, description="`next_cursor` of the page before; none for the first."),
 ]
+
+_PLACE = TypeAdapter(
+    tuple[
+        Annotated[int, Field(ge=0, lt=1 << 53, strict=True)],
+        Annotated[str, Field(pattern="^[0-9A-Za-z]+$")],
+    ]
+)
 
 
 def encode_cursor(age: int, name: str) -> str:
@@ -33,16 +40,8 @@ def decode_cursor(cursor: str | None) -> tuple[int, str] | None:
         return None
     try:
         text = base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True)
-        age, name = json.loads(text)
-    except (binascii.Error, ValueError, TypeError):
-        raise _unknown() from None
-    whole = isinstance(age, int) and not isinstance(age, bool) and 0 <= age < 1 << 53
-    if not whole or not isinstance(name, str) or not name.isalnum():
-        raise _unknown()
-    return age, name
-
-
-def _unknown() -> ProblemError:
-    return ProblemError(
-        422, "This cursor is not one of ours.", "Pass `next_cursor` as it came, or none."
-    )
+        return _PLACE.validate_json(text)
+    except ValueError:
+        raise ProblemError(
+            422, "This cursor is not one of ours.", "Pass `next_cursor` as it came, or none."
+        ) from None

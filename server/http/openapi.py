@@ -6,8 +6,6 @@ import json
 from typing import Any
 
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
-from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from chamfer_morph.schemas import (
@@ -18,20 +16,15 @@ from chamfer_morph.schemas import (
     SweepRequest,
     ids,
 )
-from chamfer_morph.server.http.problems import MEDIA_TYPE, PROBLEM_TYPES
+from chamfer_morph.server.http.problems import MEDIA_TYPE, PROBLEM_TYPES, ProblemError
 from morph_engine import methods, presets
 from morph_engine.geometry import shapes
 from morph_engine.geometry.shapes import TEXT_LIMIT, TEXT_PREFIX
 
-EXTRA_MODELS: tuple[type[BaseModel], ...] = (
-    ExportRequest,
-    JobRequest,
-    KeyRequest,
-    ProblemDocument,
-    SweepRequest,
-)
+MODELS = (ExportRequest, JobRequest, KeyRequest, ProblemDocument, SweepRequest)
+"""Those that FastAPI does not find, or of which it does not tell that a default is null."""
 
-BODY_ERRORS = (400, 408, 413, 415, 422, 429)
+BODY_ERRORS = (400, 408, 409, 413, 415, 422, 429)
 OPEN = ("livez", "readyz", "metrics")
 
 JOB_ID = {"type": "string", "pattern": f"^{ids.PATTERN}$"}
@@ -46,24 +39,19 @@ PATH_SCHEMAS: dict[str, dict[str, Any]] = {
     "field": {"type": "string", "pattern": "^[a-z_]{1,40}$"},
 }
 
-CONFLICTS = {
-    "deleteMesh", "getResult", "deleteJob", "cancelJob", "resumeJob", "retryJob", "submitJob",
-    "submitSweep", "makeKey", "revokeKey", "uploadMesh", "exportJob", "getExportFile",
+FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
+    "deleteMesh": (409,), "deleteJob": (409,), "cancelJob": (409,), "revokeKey": (409,),
+    "resumeJob": (409, 413, 429), "retryJob": (409, 413, 429),
+    "getResult": (400, 409, 416), "getExportFile": (400, 409, 416),
+    "getMeshFile": (400, 416), "getLog": (400, 416),
+    "getSurface": (413,), "getEvents": (429,), "readyz": (503,),
 }  # fmt: skip
-LIMITED: dict[str, tuple[int, ...]] = {
-    "getSurface": (413,),
-    "resumeJob": (413, 429),
-    "retryJob": (413, 429),
-    "getEvents": (429,),
-}
-RANGES = {"getExportFile", "getResult", "getMeshFile", "getLog"}
+"""What neither the address nor the body of an operation tells."""
+
 HEADERS: dict[str, dict[str, Any]] = {
     "Location": {"schema": {"type": "string"}, "description": "Where it is from now on."},
     "Retry-After": {"schema": {"type": "integer"}, "description": "When to look next [s]."},
 }
-CREATES = {"uploadMesh": ("Location",), "makeKey": ("Location",)} | dict.fromkeys(
-    ("submitJob", "submitSweep", "exportJob"), ("Location", "Retry-After")
-)
 
 MADE_BY = {
     "mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep",
@@ -73,11 +61,12 @@ MADE_BY = {
 
 
 def install(app: FastAPI) -> None:
-    """Let an application describe itself by `document`."""
+    """Let an application describe itself in full."""
+    describe = app.openapi
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = document(app)
+            app.openapi_schema = _completed(describe())
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
@@ -88,20 +77,11 @@ def text(app: FastAPI) -> str:
     return json.dumps(app.openapi(), indent=2, ensure_ascii=False) + "\n"
 
 
-def document(app: FastAPI) -> dict[str, Any]:
-    """The contract of an application."""
-    found = get_openapi(
-        title=app.title,
-        version=app.version,
-        openapi_version="3.1.0",
-        summary=app.summary,
-        description=app.description,
-        routes=app.routes,
-        license_info=app.license_info,
-    )
-    schemas = found.setdefault("components", {}).setdefault("schemas", {})
+def _completed(found: dict[str, Any]) -> dict[str, Any]:
+    """The contract with what FastAPI cannot find."""
+    schemas = found["components"]["schemas"]
     _, extra = models_json_schema(
-        [(model, "validation") for model in EXTRA_MODELS],
+        [(model, "validation") for model in MODELS],
         ref_template="#/components/schemas/{model}",
     )
     schemas.update(extra["$defs"])
@@ -110,14 +90,14 @@ def document(app: FastAPI) -> dict[str, Any]:
     _name_choices(schemas)
     found["components"]["responses"] = {str(status): _problem(status) for status in PROBLEM_TYPES}
     for path, item in found["paths"].items():
-        for method, operation in item.items():
-            _complete(operation, path, method)
+        for operation in item.values():
+            _complete(operation, path)
     _link([operation for item in found["paths"].values() for operation in item.values()])
     found["components"]["schemas"] = dict(sorted(schemas.items()))
     return found
 
 
-def _complete(operation: dict[str, Any], path: str, method: str) -> None:
+def _complete(operation: dict[str, Any], path: str) -> None:
     """Parameters as they really are, errors as they really look."""
     name = operation["operationId"]
     parameters = operation.get("parameters", [])
@@ -128,25 +108,20 @@ def _complete(operation: dict[str, Any], path: str, method: str) -> None:
     if name not in OPEN:
         statuses |= {401, 403, 503}
         operation["security"] = [{"key": []}, {}]  # none is needed while there are no keys
-    if name == "readyz":
-        statuses.add(503)
     if "{" in path:
         statuses.add(404)
     if any(parameter["in"] != "path" for parameter in parameters) or "{index}" in path:
         statuses.add(422)
     if "requestBody" in operation:
         statuses.update(BODY_ERRORS)
-    if name in CONFLICTS:
-        statuses.add(409)
-    if name in RANGES:
-        statuses |= {400, 416}
-    statuses.update(LIMITED.get(name, ()))
+    statuses.update(FURTHER_ERRORS.get(name, ()))
     answers = {status: body for status, body in operation["responses"].items() if status < "400"}
+    if "requestBody" in operation:
+        names = ("Location", "Retry-After") if "202" in answers else ("Location",)
+        for answer in answers.values():
+            answer["headers"] = {name: HEADERS[name] for name in names}
     for status in sorted(statuses):
         answers[str(status)] = {"$ref": f"#/components/responses/{status}"}
-    for success in answers.keys() & {"200", "201", "202"}:
-        if name in CREATES:
-            answers[success]["headers"] = {header: HEADERS[header] for header in CREATES[name]}
     operation["responses"] = answers
 
 
@@ -165,18 +140,11 @@ def _link(operations: list[dict[str, Any]]) -> None:
 
 
 def _problem(status: int) -> dict[str, Any]:
-    kind, title = PROBLEM_TYPES[status]
+    detail = f"{PROBLEM_TYPES[status][1]}."
     schema = {"$ref": "#/components/schemas/ProblemDocument"}
-    example = {
-        "type": f"/problems/{kind}",
-        "title": title,
-        "status": status,
-        "detail": f"{title}.",
-        "remedy": "",
-        "errors": [],
-    }
+    example = ProblemError(status, detail).document().model_dump()
     answer: dict[str, Any] = {
-        "description": f"{title}.",
+        "description": detail,
         "content": {MEDIA_TYPE: {"schema": schema, "example": example}},
     }
     if status in (429, 503):

@@ -12,6 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
@@ -39,6 +40,9 @@ PROBLEM_TYPES: dict[int, tuple[str, str]] = {
     503: ("unavailable", "The service is not ready"),
 }
 """Status to the stable name of the problem and its title."""
+
+KEPT_HEADERS = ("allow", "content-range", "retry-after", "www-authenticate")
+"""What is kept of an answer of the framework that becomes a problem."""
 
 
 class ProblemError(HTTPException):
@@ -101,6 +105,12 @@ def too_large(max_bytes: int) -> ProblemError:
         "unit.",
         headers={"Connection": "close", "Retry-After": "60"},
     )
+
+
+def unavailable(detail: str) -> ProblemError:
+    """Something that the service needs is not there at the moment."""
+    retry = {"Retry-After": "5"}
+    return ProblemError(503, detail, "Try again in a few seconds.", headers=retry)
 
 
 def not_json(error: ValueError | RecursionError) -> ProblemError:
@@ -172,12 +182,7 @@ def as_problem(error: Exception) -> ProblemError:
     if isinstance(error, ClientDisconnect):
         return ProblemError(400, "The body was cut off.", "Send it again.")
     if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
-        return ProblemError(
-            503,
-            "The database does not answer.",
-            "Try again in a few seconds.",
-            headers={"Retry-After": "5"},
-        )
+        return unavailable("The database does not answer.")
     return ProblemError(
         500,
         f"This is a fault of the service: {type(error).__name__}.",
@@ -228,29 +233,18 @@ class ProblemMiddleware:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
         replaced = False
 
         async def send_problem(message: Message) -> None:
             nonlocal replaced
             if message["type"] == "http.response.start" and message["status"] >= 400:
-                headers = {
-                    name.decode("latin-1").lower(): value.decode("latin-1")
-                    for name, value in message["headers"]
-                }
+                headers = Headers(raw=message["headers"])
                 if headers.get("content-type", "text/plain").startswith("text/plain"):
                     replaced = True
-                    kept_headers = {
-                        name: value
-                        for name, value in headers.items()
-                        if name in ("allow", "content-range", "retry-after", "www-authenticate")
-                    }
                     _, title = PROBLEM_TYPES.get(message["status"], PROBLEM_TYPES[400])
-                    found = _http_problem(message["status"], title, kept_headers)
+                    kept = {name: headers[name] for name in KEPT_HEADERS if name in headers}
+                    found = _http_problem(message["status"], title, kept)
                     await found.response()(scope, receive, send)
-                    return
             if not replaced:
                 await send(message)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 POLICY = (
@@ -19,6 +20,13 @@ DOCUMENTATION_POLICY = (
 )
 """Swagger UI and ReDoc start themselves by a script in the document and write styles."""
 
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
 
 class SecurityHeaders:
     """Adds them to every answer of an application, whatever makes it."""
@@ -28,25 +36,13 @@ class SecurityHeaders:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        headers = _headers(scope["path"])
 
         async def send_secured(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] = [*message.get("headers", ()), *headers]
+                documentation = scope["path"].startswith(DOCUMENTATION)
+                policy = DOCUMENTATION_POLICY if documentation else POLICY
+                headers = HEADERS | {"Content-Security-Policy": policy}
+                MutableHeaders(scope=message).update(headers)
             await send(message)
 
         await self.app(scope, receive, send_secured)
-
-
-def _headers(path: str) -> list[tuple[bytes, bytes]]:
-    policy = DOCUMENTATION_POLICY if path.startswith(DOCUMENTATION) else POLICY
-    return [
-        (b"content-security-policy", policy.encode()),
-        (b"x-content-type-options", b"nosniff"),
-        (b"referrer-policy", b"no-referrer"),
-        (b"cross-origin-opener-policy", b"same-origin"),
-        (b"cross-origin-resource-policy", b"same-origin"),
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -14,7 +13,7 @@ from morph_engine import methods, presets
 from morph_engine.config import MorphConfig
 from morph_engine.geometry import shapes
 
-router = APIRouter(tags=["catalog"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(tags=["catalog"], route_class=AuthenticatedRoute)
 
 TEXT_SHAPE = Resource(name="text:WORD", description="Extruded letters of any text.")
 
@@ -44,7 +43,10 @@ def get_preset(
 @router.get("/methods", operation_id="listMethods", summary="List methods")
 def list_methods(caller: Reader) -> list[Resource]:
     """Ways to move the particles, the default first."""
-    return list(_methods())
+    return [
+        Resource(name=name, description=methods.options_of(name).summary())
+        for name in methods.names()
+    ]
 
 
 @router.get("/shapes", operation_id="listShapes", summary="List built-in shapes")
@@ -60,11 +62,3 @@ def list_shapes(caller: Reader) -> list[Resource]:
 def get_config_schema(caller: Reader) -> dict[str, Any]:
     """Every setting with its unit, range and meaning, as JSON Schema."""
     return MorphConfig.model_json_schema()
-
-
-@cache
-def _methods() -> tuple[Resource, ...]:
-    return tuple(
-        Resource(name=name, description=methods.options_of(name).summary())
-        for name in methods.names()
-    )

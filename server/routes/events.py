@@ -14,7 +14,9 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["events"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["events"], route_class=AuthenticatedRoute
+)
 
 SSE = "text/event-stream"
 LARGEST_ID = 2**53

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Body, Request, Response
@@ -23,11 +23,10 @@ from chamfer_morph.server.submission import body_digest
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.job import problem_of
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.sandbox.computations import make_export
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions, StoredExport
 from morph_engine.errors import MorphError
 
-router = APIRouter(tags=["exports"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(tags=["exports"], route_class=AuthenticatedRoute)
 
 RETRY_AFTER = "1"
 
@@ -176,15 +175,8 @@ def _start(options: ExportOptions, job: JobRecord, context: ServerContext) -> No
         )
 
     def compute(flight: Flight[None]) -> None:
-        make_export(
-            context.storage,
-            job.id,
-            options,
-            context.settings,
-            file_bytes=context.quotas.available_bytes(job.owner),
-            on_start=flight.on_start,
-            on_progress=flight.on_progress,
-        )
+        available = context.quotas.available_bytes(job.owner)
+        context.sandbox.make_export(job.id, options, available, flight)
 
     context.exports.start(key, compute, job.owner)
 
@@ -254,7 +246,8 @@ def _problem(error: Exception) -> Problem:
     if isinstance(error, MorphError):
         return problem_of(error)
     problem = as_problem(error)
-    kind: Literal["resources", "internal"] = (
-        "resources" if problem.status_code < 500 else "internal"
+    return Problem(
+        cause=problem.detail,
+        remedy=problem.remedy,
+        kind="resources" if problem.status_code < 500 else "internal",
     )
-    return Problem(cause=problem.detail, remedy=problem.remedy, kind=kind)

@@ -25,7 +25,7 @@ from chamfer_morph.server.routes.job_lookup import (
 from chamfer_morph.worker.frame_reader import Frame, read_det_f
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(tags=["fields"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(tags=["fields"], route_class=AuthenticatedRoute)
 
 LEVELS = 255
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
-from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
-from prometheus_client.registry import Collector
 from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.context import Context
+from chamfer_morph.server.http.problems import unavailable
 
-router = APIRouter(tags=["health"])
+router: APIRouter = APIRouter(tags=["health"])
 
 
 class Health(BaseModel):
@@ -26,8 +23,8 @@ class Health(BaseModel):
     status: Literal["ok"] = "ok"
 
 
-class RequestMetrics:
-    """What is measured of the requests themselves."""
+class Metrics:
+    """What Prometheus is told of."""
 
     def __init__(self) -> None:
         self.registry: CollectorRegistry = CollectorRegistry()
@@ -47,16 +44,16 @@ class RequestMetrics:
         self.open: Gauge = Gauge(
             "morph_requests_open", "Requests under way.", registry=self.registry
         )
-
-    def observe_queue(self, context: ServerContext) -> None:
-        """Measure the queue too."""
-        self.registry.register(_QueueCollector(context))
+        self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
+        self.streams: Gauge = Gauge(
+            "morph_event_streams", "Open event streams.", registry=self.registry
+        )
 
 
 class MetricsMiddleware:
     """Counts and times every request by the operation that answers it."""
 
-    def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
         self.app = app
         self.metrics = metrics
 
@@ -79,21 +76,6 @@ class MetricsMiddleware:
             await self.app(scope, receive, send_timed)
 
 
-class _QueueCollector(Collector):
-    """Asks the queue when it is scraped."""
-
-    def __init__(self, context: ServerContext) -> None:
-        self._context = context
-
-    def collect(self) -> Iterator[GaugeMetricFamily]:
-        jobs = GaugeMetricFamily("morph_jobs", "Jobs by state.", labels=("state",))
-        for state, count in self._context.queue.counts().items():
-            jobs.add_metric((state.value,), count)
-        yield jobs
-        streams = self._context.event_hub.subscribers
-        yield GaugeMetricFamily("morph_event_streams", "Open event streams.", streams)
-
-
 @router.get("/livez", operation_id="livez", summary="Is the process alive?")
 async def livez() -> Health:
     """Answers as long as the process does."""
@@ -109,12 +91,7 @@ def readyz(context: Context) -> Health:
         probe.touch()
     except Exception as error:
         what = "The data directory" if isinstance(error, OSError) else "The database"
-        raise ProblemError(
-            503,
-            f"{what} cannot be used now.",
-            "Try again in a few seconds.",
-            headers={"Retry-After": "5"},
-        ) from error
+        raise unavailable(f"{what} cannot be used now.") from error
     return Health()
 
 
@@ -125,9 +102,12 @@ def readyz(context: Context) -> Health:
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def metrics(request: Request) -> Response:
+def metrics(request: Request, context: Context) -> Response:
     """Requests, their times, jobs by state and open streams, in Prometheus's text format."""
-    metrics: RequestMetrics = request.app.state.metrics
+    metrics: Metrics = request.app.state.metrics
+    for state, count in context.queue.counts().items():
+        metrics.jobs.labels(state.value).set(count)
+    metrics.streams.set(context.event_hub.subscribers)
     return Response(
         generate_latest(metrics.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,11 +13,9 @@ from chamfer_morph.schemas.ids import is_id
 from chamfer_morph.server.auth import Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError, not_found
-from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
 from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.sandbox.computations import write_partial_result
 from morph_engine.results.run_record import RunRecord
 
 
@@ -85,10 +84,7 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
     """
     path = context.storage.result_path(job.id)
     if job.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
-
-        def compute(flight: Flight[None]) -> None:
-            write_partial_result(context.storage, job.id, context.settings, flight.on_start)
-
+        compute = partial(context.sandbox.write_partial_result, job.id)
         await context.partial_results.get((job.id,), compute, request)
     if not job.state.finished or not path.is_file():
         raise ProblemError(

@@ -17,7 +17,9 @@ from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
 from chamfer_morph.worker.frame_reader import Role, mesh_in_grid_units
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
+)
 
 GLB = "model/gltf-binary"
 

@@ -25,7 +25,7 @@ from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
 from chamfer_morph.worker.queue import JobRecord
 
-router = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
 
 RETRY_AFTER = "1"
 

@@ -12,7 +12,7 @@ from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import ProblemError, not_found
 
-router = APIRouter(prefix="/keys", tags=["keys"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(prefix="/keys", tags=["keys"], route_class=AuthenticatedRoute)
 
 EXAMPLES: dict[str, Example] = {
     "admin": {

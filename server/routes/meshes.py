@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,11 +29,9 @@ from chamfer_morph.server.http.uploads import (
     receive_form,
     save_upload,
 )
-from chamfer_morph.server.single_flight import Flight
-from chamfer_morph.worker.sandbox.computations import inspect_mesh
 from morph_engine.geometry.mesh import FORMATS
 
-router = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
 
 ARCHIVES = ("zip", "gz", "tar", "tgz", "7z", "rar", "xz")
 
@@ -117,7 +116,7 @@ def list_meshes(
 @router.get("/{mesh_id}", operation_id="getMesh", summary="Describe a mesh")
 def get_mesh(mesh_id: str, caller: Reader, context: Context) -> Mesh:
     """What the engine sees in a mesh: closed?, volume, particles, expected time and memory."""
-    return to_mesh(find_mesh(mesh_id, caller, context), context)
+    return to_mesh(find_mesh(mesh_id, caller, context)[0], context)
 
 
 @router.get(
@@ -129,10 +128,7 @@ def get_mesh(mesh_id: str, caller: Reader, context: Context) -> Mesh:
 )
 def get_mesh_file(mesh_id: str, request: Request, caller: Reader, context: Context) -> Response:
     """The file as it was uploaded; understands Range and If-None-Match."""
-    row = find_mesh(mesh_id, caller, context)
-    path = context.storage.mesh_file(mesh_id)
-    if path is None:
-        raise not_found("mesh", mesh_id)
+    row, path = find_mesh(mesh_id, caller, context)
     return file_response(
         request,
         path,
@@ -170,17 +166,18 @@ def delete_mesh(mesh_id: str, caller: Submitter, context: Context) -> None:
     context.quotas.invalidate(caller.name)
 
 
-def find_mesh(mesh_id: str, caller: Caller, context: ServerContext) -> MeshRow:
-    """An upload that the caller may see.
+def find_mesh(mesh_id: str, caller: Caller, context: ServerContext) -> tuple[MeshRow, Path]:
+    """An upload that the caller may see, and its file.
 
     Raises:
         ProblemError: 404.
     """
     known = re.fullmatch("[0-9a-f]{64}", mesh_id)
     row = context.meshes.get(caller.owner_filter, mesh_id) if known else None
-    if row is None or context.storage.mesh_file(mesh_id) is None:
+    path = context.storage.mesh_file(mesh_id) if row else None
+    if row is None or path is None:
         raise not_found("mesh", mesh_id)
-    return row
+    return row, path
 
 
 async def store_uploads(
@@ -195,17 +192,18 @@ async def store_uploads(
         ProblemError: 415, a name without the suffix of a mesh format.
         MorphError: One cannot be used.
     """
-    suffixes = [mesh_suffix(upload.name) for upload in uploads]
     reports: list[dict[str, Any] | None] = []
     for upload in uploads:
-        known = context.storage.mesh_file(upload.sha256) is not None
-        reports.append(None if known else await _inspect(upload, request, context))
-    stored = []
-    for upload, suffix, report in zip(uploads, suffixes, reports, strict=True):
-        stored.append(
-            await anyio.to_thread.run_sync(_store, upload, suffix, report, caller, context)
-        )
-    return stored
+        mesh_suffix(upload.name)  # refuses what has none
+        report = None
+        if context.storage.mesh_file(upload.sha256) is None:
+            inspect = partial(context.sandbox.inspect_mesh, upload.path, upload.name)
+            report = await context.inspections.get((upload.path,), inspect, request)
+        reports.append(report)
+    return [
+        await anyio.to_thread.run_sync(_store, upload, report, caller, context)
+        for upload, report in zip(uploads, reports, strict=True)
+    ]
 
 
 def mesh_suffix(name: str) -> str:
@@ -238,21 +236,11 @@ def to_mesh(row: MeshRow, context: ServerContext) -> Mesh:
     )
 
 
-async def _inspect(upload: Upload, request: Request, context: ServerContext) -> dict[str, Any]:
-    def compute(flight: Flight[dict[str, Any]]) -> dict[str, Any]:
-        return inspect_mesh(upload.path, upload.name, context.settings, flight.on_start)
-
-    return await context.inspections.get((upload.path,), compute, request)
-
-
 def _store(
-    upload: Upload,
-    suffix: str,
-    report: dict[str, Any] | None,
-    caller: Caller,
-    context: ServerContext,
+    upload: Upload, report: dict[str, Any] | None, caller: Caller, context: ServerContext
 ) -> tuple[MeshRow, bool]:
     if report is not None:
+        suffix = mesh_suffix(upload.name)
         context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
     new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
     row = context.meshes.get(caller.name, upload.sha256)

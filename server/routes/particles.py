@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +15,10 @@ from chamfer_morph.schemas import Fit, FrameFormat
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http import array_encoding
-from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes import meshes
-from chamfer_morph.server.single_flight import Flight
-from chamfer_morph.worker.sandbox.computations import SampledShape, sample_shape
 from morph_engine.sections import GridConfig
 
-router = APIRouter(route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(route_class=AuthenticatedRoute)
 
 EXTENT = GridConfig().half_extent
 """Half edge of the usual domain [grid units]."""
@@ -60,10 +58,7 @@ async def get_mesh_particles(
     sampling: Annotated[Sampling, Query()],
 ) -> Response:
     """The particles that a job would fill the mesh with, encoded as frames are."""
-    row = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
-    path = context.storage.mesh_file(mesh_id)
-    if path is None:
-        raise not_found("mesh", mesh_id)
+    row, path = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
     warnings = context.storage.mesh_report(mesh_id)["warnings"]
     return await _particles(path, row.name, warnings, sampling, request, context)
 
@@ -96,10 +91,7 @@ async def _particles(
     context: ServerContext,
 ) -> Response:
     per_edge, fit = sampling.points_per_cell_edge, sampling.fit
-
-    def compute(flight: Flight[SampledShape]) -> SampledShape:
-        return sample_shape(shape, name, per_edge, fit, context.settings, flight.on_start)
-
+    compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit)
     sample = await context.previews.get((shape, per_edge, fit), compute, request)
     headers = {
         "Morph-Count": str(len(sample.positions)),

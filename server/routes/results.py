@@ -23,7 +23,9 @@ from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.files import file_sha256
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
+)
 
 HDF5 = "application/vnd.hdfgroup.hdf5"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from typing import Annotated, Any
 
 import anyio
@@ -14,17 +15,13 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import PLY
 from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
 from chamfer_morph.server.http.problems import not_found
-from chamfer_morph.server.routes.job_lookup import (
-    FinishedFrame,
-    VisibleJob,
-    find_run_record,
-)
-from chamfer_morph.server.single_flight import Flight
+from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_run_record
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.sandbox.computations import reconstruct_surface
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
+)
 
 MEDIA_TYPES: dict[SurfaceFormat, str] = {
     "glb": "model/gltf-binary", "ply": PLY, "obj": "model/obj", "stl": "model/stl",
@@ -63,11 +60,8 @@ async def get_surface(
     headers tell whether it is closed and how far it lies from the target mesh.
     """
     path = context.storage.surface_path(job.id, frame.index)
-
-    def compute(flight: Flight[None]) -> None:
-        reconstruct_surface(context.storage, job.id, frame.index, context.settings, flight.on_start)
-
     if not await anyio.Path(path).exists():
+        compute = partial(context.sandbox.reconstruct_surface, job.id, frame.index)
         await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
         await context.surfaces.get((job.id, frame.index), compute, request)
     try:

@@ -12,6 +12,7 @@ from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import JobRequest, JobState, Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.ids import is_id, new_id
+from chamfer_morph.schemas.jobs import JobOptions
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
@@ -30,7 +31,7 @@ from chamfer_morph.worker.progress import read_progress
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.config import overrides_of
 
-router = APIRouter(prefix="/sweeps", tags=["sweeps"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(prefix="/sweeps", tags=["sweeps"], route_class=AuthenticatedRoute)
 
 JOBS = 1000
 """Most jobs of a sweep."""
@@ -113,9 +114,7 @@ def _submit(
     before = context.sweeps.get(sweep_id)
     if before is not None and before.body != digest:
         raise idempotency_conflict()
-    common = request.model_dump(
-        include={"preset", "frames", "name", "device", "priority", "timeout_seconds"}
-    )
+    common = request.model_dump(include=JobOptions.model_fields.keys() - {"overrides"})
     submissions = [
         prepare(
             JobRequest(

@@ -18,7 +18,9 @@ from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 
-router = APIRouter(prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
+)
 
 WEBP = "image/webp"
 

@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from chamfer_morph.server.http.problems import ProblemError, as_problem
 
-router = APIRouter(include_in_schema=False)
+router: APIRouter = APIRouter(include_in_schema=False)
 
 BUILT = Path(__file__).parents[1] / "web" / "dist"
 """What `make page` builds from `server/web`."""

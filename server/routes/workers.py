@@ -13,7 +13,7 @@ from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.worker import slots
 from chamfer_morph.worker.locks import try_lock
 
-router = APIRouter(prefix="/workers", tags=["workers"], route_class=AuthenticatedRoute)
+router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=AuthenticatedRoute)
 
 
 @router.get("", operation_id="listWorkers", summary="List worker slots")

@@ -103,6 +103,11 @@ def test_metrics_of_two_shapes_as_json():
     assert document["reference"] == "volume"
 
 
+def test_metrics_of_a_path_need_a_result():
+    """A shape has no path."""
+    assert_refused(morph("metrics", "sphere", "--path"), "sphere")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [

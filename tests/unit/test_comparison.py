@@ -8,15 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import trimesh
 
-from morph_engine.comparison import compare, measure, sample_surface
+from morph_engine.comparison import compare, sample_surface
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.mesh import Mesh, make_mesh
 from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.definitions import METRICS
-from morph_engine.metrics.volume import outside_metrics
+from morph_engine.metrics.deformation import deformation_metrics
+from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
@@ -34,6 +37,11 @@ def box(*edges: float) -> Mesh:
 
 CUBE = box(4, 4, 4)
 """Holds more than the 500 particles that `sample_lattice` asks for, at every spacing used."""
+
+
+def volume_metrics(points: npt.ArrayLike, target: npt.ArrayLike) -> dict[str, float]:
+    """What two clouds come to at a spacing of .4."""
+    return chamfer_metrics(points, target, spacing=0.4) | fill_metrics(points, target, spacing=0.4)
 
 
 def test_particles_outside_a_mesh() -> None:
@@ -83,9 +91,12 @@ def test_a_mesh_equals_itself() -> None:
 
 
 def test_arrays_are_measured_as_they_are() -> None:
-    """Two clouds: no mesh, so nothing about its outside; the rest as `measure` has it."""
+    """Two clouds: no mesh, so nothing about its outside; the rest as the metrics have it."""
     a, b = sample_lattice(CUBE, spacing=0.4), sample_lattice(box(5, 4, 4), spacing=0.4)
-    assert compare(a, b, spacing=0.4) == measure(a, b, spacing=0.4)
+    m = compare(a, b, spacing=0.4)
+    assert m.values == volume_metrics(a, b)
+    assert (m.particle_count, m.target_count) == (len(a), len(b))
+    assert (m.reference, m.spacing, m.tau) == ("volume", 0.4, 0.2)
     assert compare(a, b).spacing == 1 / 3
     assert "outside_share" not in compare(a, b).values
 
@@ -166,11 +177,13 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_result_has_its_own_target(result: Path) -> None:
     """Alone, the last frame is measured against the stored target points and mesh."""
     with Trajectory(result) as run:
-        grid_mesh = replace(CUBE, vertices=CUBE.vertices)
-        expected = measure(run.positions(1), run.target_points, spacing=0.4, mesh=grid_mesh)
-        assert compare(run, spacing=0.4) == compare(result, spacing=0.4) == expected
-        first = measure(run.positions(0), run.target_points, spacing=0.4, mesh=grid_mesh)
-        assert compare(result, frame=0, spacing=0.4) == first
+        expected = [
+            volume_metrics(positions, run.target_points) | outside_metrics(positions, CUBE)
+            for positions in (run.positions(0), run.positions(1))
+        ]
+        assert compare(run, spacing=0.4) == compare(result, spacing=0.4)
+        assert compare(run, spacing=0.4).values == expected[1]
+        assert compare(result, frame=0, spacing=0.4).values == expected[0]
 
 
 def test_escaped_is_what_has_left_the_domain_of_the_run(tmp_path: Path) -> None:
@@ -216,10 +229,9 @@ def test_one_shape_is_not_enough() -> None:
 
 
 def test_every_number_printed_is_documented() -> None:
-    """Whatever `measure` returns is in the catalogue, and the catalogue is in docs/metrics.md."""
-    cloud = sample_lattice(CUBE, spacing=0.4)
-    everything = measure(cloud, cloud, spacing=0.4, mesh=CUBE, deformation=np.eye(3)[None])
-    assert everything.values.keys() <= METRICS.keys()
+    """Whatever `compare` returns is in the catalogue, and the catalogue is in docs/metrics.md."""
+    everything = compare(CUBE, CUBE, spacing=0.4).values | deformation_metrics(np.eye(3)[None])
+    assert everything.keys() <= METRICS.keys()
     page = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     for name, definition in METRICS.items():
         row = f"| `{name}` | `{definition.formula}` | {definition.unit} | {definition.better} |"

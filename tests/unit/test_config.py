@@ -49,7 +49,7 @@ def test_overrides_reach_their_field() -> None:
         ({"grid.half_extent": 150}, "4 to 250"),
         ({"method": "joint", "smoothing.values": "0.9,0.9"}, "one entry per value"),
         ({"chamfer.weight": 3}, "It belongs to joint"),
-        ({"method": "dco", "material.drag": 1}, "belongs to transport, joint, physics"),
+        ({"method": "dco", "material.drag": 1}, "belongs to transport, flow, joint, physics"),
         ({"method": "joint", "transport.sweeps": 1}, "belongs to transport"),
         ({"method": "dco", "basis.learning_rate": 1}, "belongs to shared_basis"),
         ({"method": "jont"}, "Did you mean 'joint'"),

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from chamfer_morph.worker.sandbox import runner
-from chamfer_morph.worker.sandbox.runner import Answer, CrashedError, Limits, Wording
+from chamfer_morph.worker.sandbox.runner import Answer, Computation, CrashedError, Limits, Wording
 from morph_engine.errors import MeshError, ResourceError
 
 TASK = """
@@ -26,8 +26,11 @@ def run(code: str, report_progress: Callable[[float], None]):
 """
 PARENT = """
 from chamfer_morph.worker.sandbox import runner
+class Told(runner.Computation):
+    def begin(self, process):
+        print(process.pid, flush=True)
 runner.run("task", {"code": "while True: pass"}, runner.Limits(1 << 28, 60),
-           runner.Wording("It", "end", ""), on_start=lambda child: print(child.pid, flush=True))
+           runner.Wording("It", "end", ""), Told())
 """
 WORDING = Wording("The work", "end", "Do less.")
 
@@ -39,9 +42,19 @@ def task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
-def run(code: str, limits: Limits, **callbacks) -> Answer:
+class Recorded(Computation):
+    """Keeps each share that it is told of."""
+
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+        super().__init__()
+
+    progress = property(fset=lambda self, share: self.shares.append(share))
+
+
+def run(code: str, limits: Limits, computation: Computation | None = None) -> Answer:
     """Run some code as a task."""
-    return runner.run("task", {"code": code}, limits, WORDING, **callbacks)
+    return runner.run("task", {"code": code}, limits, WORDING, computation or Computation())
 
 
 def test_what_a_task_returns_is_its_answer() -> None:
@@ -50,10 +63,10 @@ def test_what_a_task_returns_is_its_answer() -> None:
         "report_progress(0.25); print('printed'); sys.stdout.flush(); report_progress(1)\n"
         "answer = Answer({'one': [1, None]}, bytes(range(256)))"
     )
-    shares: list[float] = []
-    answer = run(code, Limits(1 << 28, 10), on_progress=shares.append)
+    computation = Recorded()
+    answer = run(code, Limits(1 << 28, 10), computation)
     assert answer == Answer({"one": [1, None]}, bytes(range(256)))
-    assert shares == [0.25, 1]
+    assert computation.shares == [0, 0.25, 1]
     assert run("answer = 'text'", Limits(1 << 28, 10)) == Answer("text")
 
 

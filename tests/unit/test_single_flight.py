@@ -92,8 +92,8 @@ def test_cancelled_work_is_killed() -> None:
 
     def sleep(flight: Flight[str]) -> str:
         with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
-            flight.on_start(process)
-            flight.on_progress(0.5)
+            flight.begin(process)
+            flight.progress = 0.5
         return "ended"
 
     async def test(runner: SingleFlight[str]) -> None:

@@ -1,8 +1,4 @@
-"""What the API has computed on request: each a task in a child process; all of them block.
-
-The settings limit memory and CPU time; `on_start` is called with the child, `on_progress` with the
-share that is done.
-"""
+"""What the API has computed on request, each by a task in a child process."""
 
 from __future__ import annotations
 
@@ -19,10 +15,9 @@ from chamfer_morph.worker.sandbox.derived_files import ExportOptions
 from chamfer_morph.worker.sandbox.runner import (
     MAX_THREADS,
     Answer,
+    Computation,
     CrashedError,
     Limits,
-    OnProgress,
-    OnStart,
     Wording,
 )
 from chamfer_morph.worker.settings import Settings
@@ -54,150 +49,129 @@ class SampledShape:
     warnings: tuple[str, ...]
 
 
-def inspect_mesh(
-    path: Path, name: str, settings: Settings, on_start: OnStart | None = None
-) -> dict[str, Any]:
-    """The ingest report of a mesh file that can be used, as it is or scaled to the domain.
+class Sandbox:
+    """Children with the memory and CPU time that the settings allow. Calls block."""
 
-    The suffix of the path tells the format; the name is what the user calls the file.
+    def __init__(self, settings: Settings, storage: Storage) -> None:
+        self._settings = settings
+        self._storage = storage
 
-    Returns:
-        `IngestReport` as JSON.
+    def inspect_mesh(self, path: Path, name: str, computation: Computation) -> dict[str, Any]:
+        """The ingest report of a mesh file that can be used, as it is or scaled to the domain.
 
-    Raises:
-        MeshError: The file is no mesh, cannot be filled with particles, or breaks the reader.
-        ResourceError: It takes too much memory or time to read.
-    """
-    arguments = {"path": path, "name": name}
-    report: dict[str, Any] = _read_mesh("inspect_mesh", arguments, settings, on_start).value
-    return report
+        The suffix of the path tells the format; the name is what the user calls the file.
 
+        Returns:
+            `IngestReport` as JSON.
 
-def sample_shape(
-    shape: Path | str,
-    name: str,
-    points_per_cell_edge: int,
-    fit: Fit,
-    settings: Settings,
-    on_start: OnStart | None = None,
-) -> SampledShape:
-    """Fill a shape with particles as a job would whose seed and lattice are the usual ones.
+        Raises:
+            MeshError: The file is no mesh, cannot be filled with particles, or breaks the reader.
+            ResourceError: It takes too much memory or time to read.
+        """
+        arguments = {"path": path, "name": name}
+        report: dict[str, Any] = self._read_mesh("inspect_mesh", arguments, computation).value
+        return report
 
-    Args:
-        shape: Path of a mesh file, or the name of a built-in shape. A name is never taken for a
-            path.
-        name: What the user calls it.
-        points_per_cell_edge: Lattice points per grid unit and axis.
-        fit: As in the configuration; `auto` scales only what does not fit the domain.
-        settings: Memory and CPU time that it may take.
-        on_start: Called with the child.
+    def sample_shape(
+        self,
+        shape: Path | str,
+        name: str,
+        points_per_cell_edge: int,
+        fit: Fit,
+        computation: Computation,
+    ) -> SampledShape:
+        """Fill a shape with particles as a job would whose seed and lattice are the usual ones.
 
-    Raises:
-        MeshError: It cannot be filled, or there is no such shape.
-        ResourceError: It takes too much memory or time.
-    """
-    if "\0" in f"{shape}{name}":
-        raise MeshError("There is no shape with a NUL in its name.", "GET /v1/shapes lists them.")
-    arguments = {
-        "path": shape if isinstance(shape, Path) else None,
-        "name": name,
-        "points_per_cell_edge": points_per_cell_edge,
-        "fit": fit,
-    }
-    answer = _read_mesh("sample_shape", arguments, settings, on_start)
-    positions = np.frombuffer(answer.binary, "<f4").reshape(-1, 3)
-    return SampledShape(positions, tuple(answer.value))
+        Args:
+            shape: Path of a mesh file, or the name of a built-in shape. A name is never taken for
+                a path.
+            name: What the user calls it.
+            points_per_cell_edge: Lattice points per grid unit and axis.
+            fit: As in the configuration; `auto` scales only what does not fit the domain.
+            computation: Told of the child.
 
+        Raises:
+            MeshError: It cannot be filled, or there is no such shape.
+            ResourceError: It takes too much memory or time.
+        """
+        if "\0" in f"{shape}{name}":
+            raise MeshError(
+                "There is no shape with a NUL in its name.", "GET /v1/shapes lists them."
+            )
+        arguments = {
+            "path": shape if isinstance(shape, Path) else None,
+            "name": name,
+            "points_per_cell_edge": points_per_cell_edge,
+            "fit": fit,
+        }
+        answer = self._read_mesh("sample_shape", arguments, computation)
+        positions = np.frombuffer(answer.binary, "<f4").reshape(-1, 3)
+        return SampledShape(positions, tuple(answer.value))
 
-def reconstruct_surface(
-    storage: Storage, job_id: str, index: int, settings: Settings, on_start: OnStart | None = None
-) -> None:
-    """Compute the surface of a frame that is there, counted from 0, and keep it.
+    def reconstruct_surface(self, job_id: str, index: int, computation: Computation) -> None:
+        """Compute the surface of a frame that is there, counted from 0, and keep it.
 
-    Raises:
-        MorphError: The particles enclose nothing, or it takes too much memory or time.
-    """
-    storage.make_derived_dirs(job_id)
-    arguments = {
-        "result": storage.result_path(job_id),
-        "index": index,
-        "path": storage.surface_path(job_id, index),
-    }
-    limits = _limits(settings, threads=MAX_THREADS)
-    runner.run(f"{TASKS}.reconstruct_surface", arguments, limits, SURFACE, on_start=on_start)
+        Raises:
+            MorphError: The particles enclose nothing, or it takes too much memory or time.
+        """
+        self._storage.make_derived_dirs(job_id)
+        arguments = {
+            "result": self._storage.result_path(job_id),
+            "index": index,
+            "path": self._storage.surface_path(job_id, index),
+        }
+        limits = self._limits(threads=MAX_THREADS)
+        runner.run(f"{TASKS}.reconstruct_surface", arguments, limits, SURFACE, computation)
 
+    def write_partial_result(self, job_id: str, computation: Computation) -> None:
+        """See to it that the result of a job that rests has all its frames.
 
-def write_partial_result(
-    storage: Storage, job_id: str, settings: Settings, on_start: OnStart | None = None
-) -> None:
-    """See to it that the result of a job that rests has all its frames.
+        Raises:
+            MorphError: It cannot be written, or takes too much memory or time.
+        """
+        arguments = {"job_dir": self._storage.job_dir(job_id)}
+        task = f"{TASKS}.write_partial_result"
+        runner.run(task, arguments, self._limits(), RESULT, computation)
 
-    Raises:
-        MorphError: It cannot be written, or takes too much memory or time.
-    """
-    arguments = {"job_dir": storage.job_dir(job_id)}
-    task = f"{TASKS}.write_partial_result"
-    runner.run(task, arguments, _limits(settings), RESULT, on_start=on_start)
+    def make_export(
+        self, job_id: str, options: ExportOptions, file_bytes: int, computation: Computation
+    ) -> None:
+        """Make an export of at most `file_bytes`, and keep it.
 
+        Raises:
+            MorphError: It could not be made.
+        """
+        self._storage.make_derived_dirs(job_id)
+        result, folder = self._storage.result_path(job_id), self._storage.exports_dir(job_id)
+        arguments = {"result": result, "folder": folder, "options": options}
+        limits = self._limits(file_bytes, MAX_THREADS)
+        try:
+            runner.run(f"{TASKS}.make_export", arguments, limits, EXPORT, computation)
+        except MorphError as error:  # shown to users, who need not know where files lie
+            for path in map(str, (folder, result)):
+                error.cause = error.cause.replace(f"{path}/", "").replace(path, "the result")
+            raise
 
-def make_export(
-    storage: Storage,
-    job_id: str,
-    options: ExportOptions,
-    settings: Settings,
-    *,
-    file_bytes: int,
-    on_start: OnStart | None = None,
-    on_progress: OnProgress | None = None,
-) -> None:
-    """Make an export and keep it.
+    def _limits(self, file_bytes: int | None = None, threads: int = 1) -> Limits:
+        memory, seconds = self._settings.export_memory_bytes, self._settings.export_cpu_seconds
+        return Limits(memory, seconds, memory if file_bytes is None else file_bytes, threads)
 
-    It may fill the disk by `file_bytes`.
-
-    Raises:
-        MorphError: It could not be made.
-    """
-    storage.make_derived_dirs(job_id)
-    result, folder = storage.result_path(job_id), storage.exports_dir(job_id)
-    try:
-        runner.run(
-            f"{TASKS}.make_export",
-            {"result": result, "folder": folder, "options": options},
-            _limits(settings, file_bytes=file_bytes, threads=MAX_THREADS),
-            EXPORT,
-            on_start=on_start,
-            on_progress=on_progress,
-        )
-    except MorphError as error:  # shown to users, who need not know where files lie
-        for path in map(str, (folder, result)):
-            error.cause = error.cause.replace(f"{path}/", "").replace(path, "the result")
-        raise
-
-
-def _limits(settings: Settings, file_bytes: int | None = None, threads: int = 1) -> Limits:
-    memory, seconds = settings.export_memory_bytes, settings.export_cpu_seconds
-    return Limits(memory, seconds, memory if file_bytes is None else file_bytes, threads)
-
-
-def _read_mesh(
-    task: str, arguments: dict[str, Any], settings: Settings, on_start: OnStart | None
-) -> Answer:
-    """What a task answers that reads a mesh; errors call its file what the user calls it."""
-    limits = Limits(settings.inspect_memory_bytes, settings.inspect_cpu_seconds)
-    name, path = arguments["name"], arguments["path"]
-    try:
-        return runner.run(
-            f"{TASKS}.{task}", arguments, limits, Wording(name, "read", DECIMATE), on_start=on_start
-        )
-    except CrashedError as error:
-        raise MeshError(
-            f"{name} breaks the program that reads meshes ({error.reason}).",
-            "Export the mesh again, as OBJ, STL or GLB.",
-        ) from None
-    except ResourceError:
-        raise
-    except MorphError as error:
-        cause = error.cause
-        if path is not None:
-            cause = cause.replace(str(path), name).replace(path.name, name)
-        raise MeshError(cause, error.remedy) from None
+    def _read_mesh(self, task: str, arguments: dict[str, Any], computation: Computation) -> Answer:
+        """What a task answers that reads a mesh; errors call its file what the user calls it."""
+        limits = Limits(self._settings.inspect_memory_bytes, self._settings.inspect_cpu_seconds)
+        name, path = arguments["name"], arguments["path"]
+        wording = Wording(name, "read", DECIMATE)
+        try:
+            return runner.run(f"{TASKS}.{task}", arguments, limits, wording, computation)
+        except CrashedError as error:
+            raise MeshError(
+                f"{name} breaks the program that reads meshes ({error.reason}).",
+                "Export the mesh again, as OBJ, STL or GLB.",
+            ) from None
+        except ResourceError:
+            raise
+        except MorphError as error:
+            cause = error.cause
+            if path is not None:
+                cause = cause.replace(str(path), name).replace(path.name, name)
+            raise MeshError(cause, error.remedy) from None

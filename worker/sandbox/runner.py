@@ -14,7 +14,7 @@ import os
 import signal
 import subprocess
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import IO, Any
@@ -30,12 +30,6 @@ MAX_THREADS = 4
 
 STDERR_TAIL_BYTES = 1 << 14
 """What is kept of a child's messages [bytes]."""
-
-OnStart = Callable[[subprocess.Popen[bytes]], None]
-"""Called with the child once it has started."""
-
-OnProgress = Callable[[float], None]
-"""Called with the share that is done, from 0 to 1."""
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -97,14 +91,38 @@ class Answer:
     binary: bytes = b""
 
 
+class Computation:
+    """A task that is to be run, or runs.
+
+    Attributes:
+        progress: Share that is done, from 0 to 1.
+        cancelled: Whether it is to end, or not to begin.
+    """
+
+    def __init__(self) -> None:
+        self.progress: float = 0.0
+        self.cancelled: bool = False
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def begin(self, process: subprocess.Popen[bytes]) -> None:
+        """Note the process that computes it."""
+        self._process = process
+        if self.cancelled:
+            process.kill()
+
+    def cancel(self) -> None:
+        """End it."""
+        self.cancelled = True
+        if self._process is not None:
+            self._process.kill()
+
+
 def run(
     task: str,
     arguments: Mapping[str, Any],
     limits: Limits,
     wording: Wording,
-    *,
-    on_start: OnStart | None = None,
-    on_progress: OnProgress | None = None,
+    computation: Computation,
 ) -> Answer:
     """Run a task to its end; blocks.
 
@@ -113,8 +131,7 @@ def run(
         arguments: What it is called with, by name; anything that JSON can hold.
         limits: What it may take.
         wording: What it does.
-        on_start: Called with the child.
-        on_progress: Called with the share that is done.
+        computation: Told of its child and of the share that is done.
 
     Returns:
         What the function returns.
@@ -133,8 +150,7 @@ def run(
         start_new_session=True,
     )
     assert process.stdin is not None and process.stderr is not None
-    if on_start is not None:
-        on_start(process)
+    computation.begin(process)
     stderr_tail = bytearray()
     reader = threading.Thread(target=_read_tail, args=(process.stderr, stderr_tail), daemon=True)
     reader.start()
@@ -147,7 +163,7 @@ def run(
                 process.stdin.write(to_json({"arguments": arguments, "limits": asdict(limits)}))
                 process.stdin.write(b"\n")
                 process.stdin.flush()  # it stays open, for the child ends with it
-            answer = _read_answer(process, on_progress)
+            answer = _read_answer(process, computation)
             status = process.wait()
             reader.join()
     finally:
@@ -176,7 +192,7 @@ def _environment(limits: Limits) -> dict[str, str]:
 
 
 def _read_answer(
-    process: subprocess.Popen[bytes], on_progress: OnProgress | None
+    process: subprocess.Popen[bytes], computation: Computation
 ) -> Answer | MorphError | None:
     """What a child answers, or the error it raises; None where it dies before."""
     assert process.stdout is not None
@@ -184,8 +200,8 @@ def _read_answer(
     with suppress(ValueError):  # it died within a line
         for line in process.stdout:
             match json.loads(line):
-                case {"progress": share} if on_progress is not None:
-                    on_progress(share)
+                case {"progress": share}:
+                    computation.progress = share
                 case {"answer": value, "binary_bytes": size}:
                     answer = Answer(value, process.stdout.read(size))
                 case {"error": {"type": name, "cause": cause, "remedy": remedy}}:

@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from chamfer_morph.server.app import create_app
-from chamfer_morph.server.database.tables import KEYS
+from chamfer_morph.server.database.tables import KeyRow
 from tests.integration.api.conftest import MORPH, Api
 
 
@@ -46,7 +46,7 @@ def test_the_first_key_closes_the_door(either: Api) -> None:
         assert wrong.status_code == 401, header
     assert either.http.get("/v1/jobs", headers=root).status_code == 200
     with either.context.engine.connect() as connection:
-        row = connection.execute(sa.select(KEYS)).one()
+        row = connection.execute(sa.select(KeyRow)).one()
     assert root["Authorization"].split()[1] not in str(row), "only a digest is stored"
     assert either.http.delete("/v1/keys/root", headers=root).status_code == 204
     assert either.http.get("/v1/jobs").status_code == 200

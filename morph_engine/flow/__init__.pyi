@@ -1,0 +1,12 @@
+from .body import Body as Body
+from .body import BodyPath as BodyPath
+from .body import fine_axis as fine_axis
+from .contact import LayerArrays as LayerArrays
+from .contact import Settling as Settling
+from .contact import blend as blend
+from .contact import prepare as prepare
+from .correspondence import Correspondence as Correspondence
+from .correspondence import match as match
+from .correspondence import sample_controls as sample_controls
+from .projection import Projection as Projection
+from .warp import Warp as Warp

@@ -1,0 +1,76 @@
+"""Signed distance of a solid on a cubic lattice: negative inside."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import lazy_loader as lazy
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.winding_number import inside
+
+igl: Any = lazy.load("igl")
+
+COARSENING = 4
+"""Lattice steps between the points at which distances far from the surface are computed."""
+
+
+def mesh_distance(mesh: Mesh, axis: NDArray[np.float64], band: float) -> NDArray[np.float32]:
+    """Signed distance to a mesh, which may be open: the winding number tells what is inside.
+
+    Exact within `band` of the surface; farther away interpolated between every fourth point.
+
+    Args:
+        mesh: The mesh [dx].
+        axis: Coordinates of the lattice along each axis [dx], ascending evenly, shape [n].
+        band: Distance up to which each lattice point has its own [dx].
+
+    Returns:
+        Distances [dx], shape [n, n, n].
+    """
+    coarse_axis = np.append(axis[:-1:COARSENING], axis[-1])
+    coarse = _exact(mesh, _points(coarse_axis)).reshape((len(coarse_axis),) * 3)
+    distance = coarse.astype(np.float32)
+    for _ in range(3):  # interpolates along the last axis and turns the axes on
+        distance = scipy.interpolate.interp1d(coarse_axis, distance, axis=2)(axis)
+        distance = np.moveaxis(distance.astype(np.float32), 2, 0)
+    near = np.nonzero(np.abs(distance) < band)
+    distance[near] = _exact(mesh, np.stack([axis[index] for index in near], axis=1))
+    return np.ascontiguousarray(distance)
+
+
+def cloud_distance(
+    points: NDArray[Any], axis: NDArray[np.float64], radius: float
+) -> NDArray[np.float32]:
+    """Signed distance to a solid given by points that fill it, as the union of balls around them.
+
+    Args:
+        points: The points [dx], shape [n, 3].
+        axis: Coordinates of the lattice along each axis [dx], ascending evenly, shape [n].
+        radius: Of the balls [dx]; the surface lies half a ball inside their union.
+
+    Returns:
+        Distances [dx], shape [n, n, n].
+    """
+    nearest = scipy.spatial.cKDTree(points).query(_points(axis), distance_upper_bound=radius)[0]
+    filled = np.isfinite(nearest).reshape((len(axis),) * 3)
+    step = axis[1] - axis[0]
+    edt = scipy.ndimage.distance_transform_edt
+    distance: NDArray[np.float64] = step * (edt(~filled) - edt(filled)) + radius / 2
+    return distance.astype(np.float32)
+
+
+def _points(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _exact(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    squared, _, _ = igl.point_mesh_squared_distance(
+        points, mesh.vertices, mesh.faces.astype(np.int64)
+    )
+    distance: NDArray[np.float64] = np.sqrt(squared)
+    distance[inside(mesh, points)] *= -1
+    return distance

@@ -1,0 +1,320 @@
+"""One body changes its shape, and incompressible matter flows inside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from morph_engine import flow, geometry, mpm
+from morph_engine.errors import SimulationError
+from morph_engine.methods.method import FrameOutcome, Problem
+from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
+from morph_engine.methods.options import CostRates
+from morph_engine.methods.transport import ease
+from morph_engine.optimization.watchdog import Event, restarted
+from morph_engine.sections import (
+    Fraction,
+    Kernel,
+    MaterialConfig,
+    NonNegative,
+    Positive,
+    RestartingWatchdogConfig,
+)
+
+if TYPE_CHECKING:
+    from morph_engine.geometry.mesh import Mesh
+
+COURANT = 0.5
+"""What an elastic shear wave travels in a time step, at most [cells]."""
+
+CELLS_PER_STEP = 0.3
+"""What the fastest particle shall move in a time step [cells]."""
+
+STEPS = 4
+"""Time steps per frame to which the gain and the firmness of the surface refer."""
+
+LARGEST_DISTORTION = 0.15
+"""Geodesic distortion below which two shapes are taken to have like parts."""
+
+RETURN = 0.3
+"""Share of its distance from where the warp wants it that a particle is to make in a frame."""
+
+SETTLING_BEGINS = 0.985
+"""Share of the way from which particles spread more evenly."""
+
+BAND = 1.5
+"""Distances to a surface are exact so far from it [cells]."""
+
+
+class FlowOptions(MpmOptions):
+    """Matter flows inside a body that changes from source to target, driven by pressure.
+
+    The body, the flow and what moves matter beside it: docs/flow.md.
+    """
+
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    cost: ClassVar[CostRates] = CostRates(16e-6, 2e-6, 2.6, 0.2, 0.05)
+
+    name: Literal["flow"] = "flow"
+    kernel: Kernel = Field("quadratic", description="B-spline interpolation.")
+    watchdog: RestartingWatchdogConfig = RestartingWatchdogConfig()
+    cell: Positive = Field(1.5, description="Edge of a grid cell of the flow [h].")
+    steps_per_frame: int = Field(4, ge=1, le=200, description="Time steps per frame, at least.")
+    like_parts: Literal["auto", "on", "off"] = Field(
+        "auto",
+        description="Carry parts of the source to like parts of the target; auto: where the "
+        "geodesic distances of the best matching agree.",
+    )
+    gain: Fraction = Field(
+        0.3, description="Share of an error of density that a quarter of a frame mends."
+    )
+    reach: Positive = Field(
+        4.0, description="Distances outside are compressed beyond this, so that limbs grow [dx]."
+    )
+    depth: float = Field(0.35, description="Particles stay this far inside the surface [h].")
+    momentum: Fraction = Field(0.0, description="Share of velocity that is left after a frame.")
+    material: MaterialConfig = MaterialConfig()
+    memory: NonNegative = Field(
+        2.0, description="Frames after which matter has forgotten 63 % of its strain."
+    )
+    separation: Fraction = Field(
+        0.85, description="Particles closer than this move apart on the way [h]; 0: never."
+    )
+    final_separation: Fraction = Field(0.92, description="Likewise when the shape comes to rest.")
+    settling: Fraction = Field(
+        0.02, description="What particles are moved apart in all, at most, over the mean path."
+    )
+    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving apart per time step.")
+    rest: float = Field(
+        0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
+    )
+
+
+class Flow(MpmMethod[FlowOptions]):
+    """A body goes from source to target; matter fills it evenly and flows inside.
+
+    Every time step the pressure of the projection moves mass to where the body will hold it, by
+    the smallest change of velocities that does. Elastic strain and momentum decide the rest.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        config, options, device = problem.config, self.options, self.device
+        dx = options.cell * config.spacing * self._coarseness()
+        half_extent = math.ceil(config.grid.half_extent / dx) * dx
+        self._grid = mpm.Grid(dx, half_extent, width=4 if options.kernel == "cubic" else 3)
+        volume = np.full(len(problem.source), config.spacing**3)
+        self._simulation = self._make_simulation(volume, transitions=1)
+        # pressure is the projection's: shear alone is left to the material
+        self._simulation.material = replace(self._simulation.material, lame_lambda=0.0)
+        full = options.material.density * dx**3
+        self._projection = flow.Projection(self._grid, full=full, gain=options.gain)
+        self._settling = flow.Settling(len(problem.source), self._grid, config.spacing)
+        axis = flow.fine_axis(self._grid)
+        self._correspondence = self._match()
+        found = self._correspondence
+        self._warp = flow.Warp(found) if found and self._carries(found) else None
+        self._path = flow.BodyPath(
+            self._distance(problem.source_mesh, problem.source, axis),
+            self._distance(problem.target_mesh, problem.target, axis),
+            self._grid,
+            reach=options.reach,
+            matter=len(problem.source) * self._mass / full,
+            warp=self._warp,
+        )
+        self._guidance = device.vectors(len(problem.source))
+        self._volume_ratio = device.scalars(len(problem.source))
+        self._levels = [device.scalars(len(axis) ** 3) for _ in range(2)]
+        self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
+        self._wanted = [device.scalars(self._grid.node_count) for _ in range(2)]
+        self._moved = device.scalars(len(problem.source))
+        self._body_frame = -1
+        time = options.time
+        self._frame_seconds = time.dt * time.transitions_per_frame
+        self._speed = 0.0
+        self._path_length = 0.0
+        self._settled = 0.0
+
+    def advance(self, frame: int) -> FrameOutcome:
+        """Let the body change and matter flow for one frame.
+
+        Raises:
+            SimulationError: A particle is lost, even at the smallest time step.
+        """
+        share, next_share = self._share(frame), self._share(frame + 1)
+        self._load_bodies(frame, share, next_share)
+        steps = self._steps()
+        events = [] if frame else self._decisions()
+        order = self._cell_order()
+        if self._warp:
+            self._guidance.from_numpy(self._guide(share, next_share)[order])
+        for restart in range(self.options.watchdog.restarts + 1):
+            faults = self._flow(order, steps, share, next_share)
+            if not faults:
+                break
+            names = ", ".join(mpm.fault_names(faults))
+            if restart == self.options.watchdog.restarts:
+                raise SimulationError(
+                    f"Frame {frame} cannot go on: {names}.",
+                    "Those before it are kept; use more frames, or steps_per_frame.",
+                )
+            steps *= 2
+            events.append(restarted(frame, self._frame_seconds / steps, names))
+        last = self._simulation.layers[0]
+        self._matches.rebuild(last.x)
+        self._matches.update(last.x)
+        before = self._particles.x
+        self._keep(last, order)
+        self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[np.argsort(order), None, None]
+        self._path_length += float(np.linalg.norm(self._particles.x - before, axis=1).mean())
+        moved = self._mean_move()
+        self._settled += moved
+        self._speed = float(np.linalg.norm(self._particles.v, axis=1).max())
+        numbers = {"correction": moved, "dt": self._simulation.dt}
+        return self._outcome(order, numbers, tuple(events))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The particles, their largest speed [dx/s], mean path and what settling made of it."""
+        motion = np.array([self._speed, self._path_length, self._settled])
+        return super().state() | {"motion": motion}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take up a state that `state` returned."""
+        super().restore(state)
+        self._speed, self._path_length, self._settled = state["motion"].tolist()
+
+    def _coarseness(self) -> float:
+        """How much larger cells must be where particles end, or begin, farther apart."""
+        ratio = float(np.cbrt(len(self.problem.target) / len(self.problem.source)))
+        return max(ratio, math.sqrt(ratio))
+
+    def _share(self, frame: int) -> float:
+        return ease(frame / ((1 - self.options.rest) * self.problem.config.frames))
+
+    def _distance(
+        self, mesh: Mesh | None, points: NDArray[np.float32], axis: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Signed distance to a mesh, or to the points where there is none."""
+        if mesh is None:
+            return geometry.cloud_distance(points, axis, self.problem.config.spacing)
+        return geometry.mesh_distance(mesh, axis, BAND * self._grid.dx)
+
+    def _match(self) -> flow.Correspondence | None:
+        if self.options.like_parts == "off":
+            return None
+        source, target = (
+            flow.sample_controls(points.astype(np.float64), self.problem.config.spacing)
+            for points in (self.problem.source, self.problem.target)
+        )
+        return flow.match(source, target)
+
+    def _carries(self, found: flow.Correspondence) -> bool:
+        """Whether parts are carried to like parts."""
+        return self.options.like_parts == "on" or found.distortion < LARGEST_DISTORTION
+
+    def _decisions(self) -> list[Event]:
+        """What was decided before the first frame."""
+        found = self._correspondence
+        if found is None:
+            return []
+        message = (
+            f"Parts are {'' if self._warp else 'not '}carried to like parts: matched geodesic "
+            f"distances differ by {found.distortion:.1%} of their mean."
+        )
+        data = {"distortion": found.distortion, "plain_distortion": found.plain_distortion}
+        return [Event(0, "correspondence", message, data)]
+
+    def _guide(self, share: float, next_share: float) -> NDArray[Any]:
+        """Velocity that the warp asks of each particle during a frame [dx/s], shape [n, 3]."""
+        assert self._warp is not None
+        source = self.problem.source.astype(np.float64)
+        here, there = (self._warp.forward(source, s) for s in (share, next_share))
+        step = there - here + RETURN * (1 - share) * (here - self._particles.x)
+        return (step / self._frame_seconds).astype(self.device.numpy_real)
+
+    def _load_bodies(self, frame: int, share: float, next_share: float) -> None:
+        """Bring the body before and after the frame to the device."""
+        if self._body_frame != frame:
+            self._upload_body(0, share)
+        else:
+            self._levels.reverse()
+            self._masses.reverse()
+        self._upload_body(1, next_share)
+        self._body_frame = frame + 1
+
+    def _upload_body(self, slot: int, share: float) -> None:
+        body = self._path.at(share)
+        real = self.device.numpy_real
+        self._levels[slot].from_numpy(body.level.ravel().astype(real))
+        self._masses[slot].from_numpy(body.mass.ravel().astype(real))
+
+    def _steps(self) -> int:
+        """Time steps of a frame, from the speed of the last one and of elastic waves."""
+        options = self.options
+        wave = math.sqrt(options.material.lame_mu / options.material.density)
+        cells = self._frame_seconds / self._grid.dx
+        least = max(wave * cells / COURANT, self._speed * cells / CELLS_PER_STEP)
+        return max(options.steps_per_frame, math.ceil(least))
+
+    def _flow(self, order: NDArray[np.intp], steps: int, share: float, next_share: float) -> int:
+        """Make the time steps of a frame from the state kept; returns fault bits."""
+        simulation, options = self._simulation, self.options
+        simulation.layers[0].upload(self._particles.permuted(order))
+        simulation.dt = self._frame_seconds / steps
+        simulation.clear_faults()
+        self._projection.forget()
+        self._moved.fill(0)
+        self._volume_ratio.fill(1)
+        depth = options.depth * self.problem.config.spacing
+        momentum = options.momentum ** (1 / steps)
+        self._projection.gain = 1 - (1 - options.gain) ** (STEPS / steps)
+        memory = options.memory * (1 - share)
+        elasticity = math.exp(-1 / (steps * memory)) if memory > 0.01 else 0.0
+        flow.blend(self._wanted[1], *self._masses, 0.0)
+        for step in range(steps):
+            part = (step + 1) / steps
+            self._wanted.reverse()
+            flow.blend(self._wanted[1], *self._masses, part)
+            here, there = simulation.layers
+            flow.prepare(
+                flow.LayerArrays(x=here.x, v=here.v, C=here.C, F=here.F),
+                self._volume_ratio, self._guidance, *self._levels, part,
+                depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt, self._grid,
+            )  # fmt: skip
+            nodes = simulation.transitions[0].nodes
+            nodes.fill(0)
+            simulation.to_nodes()
+            before, after = self._wanted
+            self._projection.project(nodes, before, after, simulation.dt)
+            simulation.to_particles()
+            self._settle(there.x, share + part * (next_share - share))
+            simulation.layers.reverse()
+            if simulation.faults:
+                break
+        return simulation.faults
+
+    def _settle(self, x: Any, share: float) -> None:
+        """Spread particles more evenly than the grid can, by at most their part of the path."""
+        options = self.options
+        apart = np.interp(
+            share, (SETTLING_BEGINS, 1), (options.separation, options.final_separation)
+        )
+        first, last = self._path.volumes
+        expansion = (1 - share + share * last / first) ** (1 / 3)
+        distance = float(apart * expansion * self.problem.config.spacing)
+        allowed = options.settling * self._path_length - self._settled
+        for _ in range(options.rounds):
+            left = allowed - self._mean_move()
+            if left <= 0:
+                break
+            self._settling.settle(x, self._moved, distance=distance, most=left)
+
+    def _mean_move(self) -> float:
+        """What particles were moved in this frame beside the flow, on average [dx]."""
+        return float(self._moved.to_numpy().mean(dtype=np.float64))

@@ -1,0 +1,265 @@
+"""How a morph moves, from particle positions alone, whatever the method.
+
+Frames hold the same particles in the same order. `docs/metrics.md` has the definitions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from morph_engine.geometry.point_cloud import Points, farthest_points
+from morph_engine.geometry.surface_reconstruction import surface_euler
+from morph_engine.metrics.body import measure_body
+from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
+
+NEIGHBORS = 12
+NODE_CELL_OVER_H = 2.0
+"""Edge of the cells of which each gives one node to the graph of shortest paths."""
+
+EDGE_OVER_H = 5.0
+"""Longest edge of that graph: some 65 edges a node, whose lengths are within 2 % of the way."""
+
+
+BODIES = 9
+"""Frames of a path, evenly spaced, of which the body is measured."""
+
+
+def path_metrics(
+    frames: Sequence[npt.ArrayLike],
+    spacing: float,
+    *,
+    shares: npt.ArrayLike | None = None,
+    settled: npt.ArrayLike | None = None,
+) -> dict[str, float]:
+    """Measure a path, by the worst of its frames where a number is one of a frame.
+
+    The body is measured in 9 evenly spaced frames, everything else in all.
+
+    Args:
+        frames: Particle positions of each frame [dx], shape [n, 3] each, the source first.
+            Particles that are not finite in all of them take no part.
+        spacing: Lattice spacing h [dx].
+        shares: Share of the way at each frame, 0 to 1, for methods that ease or rest, shape
+            [frames]; even steps when not given.
+        settled: Length of the moves that the simulation did not make [dx], shape [n].
+
+    Returns:
+        ``area_min``, ``area_max``, ``volume_min``, ``volume_max``, ``more_pieces``, ``more_euler``
+        and the numbers of `neighbor_metrics`, `gap_metrics`, `geodesic_distortion` and
+        `motion_metrics`; ``settled`` if given. `METRICS` defines them.
+    """
+    finite = np.all([np.isfinite(frame).all(axis=1) for frame in frames], axis=0)
+    frames = [np.asarray(frame)[finite] for frame in frames]
+    chosen = np.unique(np.linspace(0, len(frames) - 1, BODIES).round().astype(int))
+    share = np.linspace(0, 1, len(frames)) if shares is None else np.asarray(shares, np.float64)
+    bodies = [measure_body(frames[i], spacing) for i in chosen]
+    area = over_schedule([body.area for body in bodies], share[chosen])
+    volume = over_schedule([body.volume for body in bodies], share[chosen])
+    gaps = [gap_metrics(frame, spacing) for frame in frames]
+    values = {
+        "area_min": float(area.min()),
+        "area_max": float(area.max()),
+        "volume_min": float(volume.min()),
+        "volume_max": float(volume.max()),
+        "more_pieces": _beyond_ends([body.pieces for body in bodies]),
+        "more_euler": _beyond_ends([surface_euler(frames[i], spacing) for i in chosen]),
+        **neighbor_metrics(frames[0], frames[-1], spacing),
+        **{name: min(gap[name] for gap in gaps) for name in gaps[0]},
+        "geodesic": geodesic_distortion(frames[0], frames[-1], spacing),
+        **motion_metrics(frames),
+    }
+    if settled is not None:
+        values["settled"] = settled_share(frames, np.asarray(settled)[finite])
+    return values
+
+
+def over_schedule(
+    values: npt.ArrayLike, shares: npt.ArrayLike | None = None
+) -> npt.NDArray[np.float64]:
+    """Values of frames over their schedule, shape [frames], float64.
+
+    The schedule runs linearly from the first value to the last: over the frame index, or over the
+    shares of the way (0 to 1, shape [frames]) of a method that eases or rests.
+    """
+    series = np.asarray(values, np.float64)
+    share = np.linspace(0, 1, len(series)) if shares is None else np.asarray(shares, np.float64)
+    ratio: npt.NDArray[np.float64] = series / ((1 - share) * series[0] + share * series[-1])
+    return ratio
+
+
+def neighbor_metrics(first: npt.ArrayLike, last: npt.ArrayLike, spacing: float) -> dict[str, float]:
+    """How the 12 nearest neighbours of each particle fare from the first frame to the last.
+
+    Args:
+        first: Particle positions [dx], shape [n, 3], n > 12.
+        last: The same particles later [dx], shape [n, 3].
+        spacing: Lattice spacing h [dx].
+
+    Returns:
+        ``d2_min`` [h^2]: mean over particles of the mean squared residual of the best affine map
+        of the neighbours' places relative to the particle (Falk and Langer 1998). ``kept``: share
+        of the neighbours that are among the 12 nearest at the end.
+    """
+    start, end = np.asarray(first, np.float64), np.asarray(last, np.float64)
+    before, after = _nearest(start, NEIGHBORS), _nearest(end, NEIGHBORS)
+    rest, moved = start[before] - start[:, None], end[before] - end[:, None]
+    turned = rest.swapaxes(1, 2)
+    affine = np.linalg.pinv(turned @ rest, hermitian=True) @ (turned @ moved)
+    residual = ((moved - rest @ affine) ** 2).sum(axis=2)
+    kept = (before[:, :, None] == after[:, None, :]).any(axis=2)
+    return {"d2_min": float(residual.mean() / spacing**2), "kept": float(kept.mean())}
+
+
+def gap_metrics(positions: npt.ArrayLike, spacing: float) -> dict[str, float]:
+    """``gap_p01`` and ``gap_min`` [h]: 1 % quantile and least of the distance to the nearest other.
+
+    Args:
+        positions: Particle positions [dx], shape [n, 3], n > 1.
+        spacing: Lattice spacing h [dx].
+    """
+    points = np.asarray(positions, np.float64)
+    gap = scipy.spatial.cKDTree(points).query(points, k=[2])[0][:, 0] / spacing
+    return {"gap_p01": float(np.quantile(gap, 0.01)), "gap_min": float(gap.min())}
+
+
+def motion_metrics(frames: Sequence[npt.ArrayLike]) -> dict[str, float]:
+    """How directly the particles move, whatever the timing.
+
+    Args:
+        frames: Particle positions of each frame [dx], shape [n, 3] each.
+
+    Returns:
+        ``detour``: sum of the lengths of all paths over the sum of the straight distances.
+        ``action``: kinetic action over that of straight lines, both with the best timing that all
+        particles share: (sum over steps of the rms step)^2 / mean squared distance. Both are 1
+        where all particles move along straight lines with a common timing, and also where
+        nothing moves.
+    """
+    places = [np.asarray(frame, np.float64) for frame in frames]
+    steps = np.stack([((b - a) ** 2).sum(axis=1) for a, b in pairwise(places)])
+    straight = ((places[-1] - places[0]) ** 2).sum(axis=1)
+    if not steps.any():
+        return {"detour": 1.0, "action": 1.0}
+    with np.errstate(divide="ignore"):
+        return {
+            "detour": float(np.sqrt(steps).sum() / np.sqrt(straight).sum()),
+            "action": float(np.sqrt(steps.mean(axis=1)).sum() ** 2 / straight.mean()),
+        }
+
+
+def settled_share(frames: Sequence[npt.ArrayLike], settled: npt.ArrayLike) -> float:
+    """Share of the motion that the simulation did not make.
+
+    Args:
+        frames: Particle positions of each frame [dx], shape [n, 3] each.
+        settled: Length of the moves made beyond the simulation by each particle [dx], shape [n].
+    """
+    places = [np.asarray(frame, np.float64) for frame in frames]
+    way = sum(float(np.linalg.norm(b - a, axis=1).sum()) for a, b in pairwise(places))
+    return float(np.sum(settled)) / way if way else 0.0
+
+
+def geodesic_distortion(
+    first: npt.ArrayLike, last: npt.ArrayLike, spacing: float, *, landmark_count: int = 300
+) -> float:
+    """Change of shortest paths inside the body: rms difference over mean.
+
+    Paths are among farthest-point landmarks, over a graph of one particle per cell of 2 h whose
+    edges, up to 5 h long, stay inside the body. Pairs that are in different pieces of either body
+    take no part.
+
+    Args:
+        first: Particle positions [dx], shape [n, 3].
+        last: The same particles later [dx], shape [n, 3].
+        spacing: Lattice spacing h [dx].
+        landmark_count: Number of landmarks.
+    """
+    start, end = np.asarray(first, np.float64), np.asarray(last, np.float64)
+    chosen = farthest_points(start, landmark_count)
+    before, after = (_geodesics(points, chosen, spacing) for points in (start, end))
+    both = np.isfinite(before) & np.isfinite(after) & (before > 0)
+    mean = before[both].mean()
+    return float(np.sqrt(np.mean((after[both] - before[both]) ** 2)) / mean)
+
+
+def part_transfer(
+    start_labels: npt.ArrayLike,
+    last: npt.ArrayLike,
+    label_at: Callable[[Points], npt.NDArray[np.integer]],
+) -> dict[int, float]:
+    """Share of each part's matter that ends in the like part of the target.
+
+    Args:
+        start_labels: Part in which each particle starts, shape [n], integer; those below 0 belong
+            to none.
+        last: Where it ends [dx], shape [n, 3].
+        label_at: Part of the target at points [k, 3], shape [k], integer.
+    """
+    labels = np.asarray(start_labels)
+    arrived = label_at(np.asarray(last, np.float64)) == labels
+    return {int(a): float(arrived[labels == a].mean()) for a in np.unique(labels[labels >= 0])}
+
+
+def nearest_labels(
+    points: Points, labels: npt.ArrayLike
+) -> Callable[[Points], npt.NDArray[np.integer]]:
+    """Labels of a space of which some points [k, 3] are labelled: that of the nearest one."""
+    tree, known = scipy.spatial.cKDTree(points), np.asarray(labels, np.int64)
+
+    def label_at(queries: Points) -> npt.NDArray[np.integer]:
+        found: npt.NDArray[np.integer] = known[tree.query(queries)[1]]
+        return found
+
+    return label_at
+
+
+def _beyond_ends(counts: Sequence[int]) -> float:
+    """How far any count is outside the range of the first and the last."""
+    low, high = sorted((counts[0], counts[-1]))
+    return float(max(max(counts) - high, low - min(counts)))
+
+
+def _nearest(points: Points, count: int) -> npt.NDArray[np.intp]:
+    """Indices of the nearest other points, shape [n, count], whatever coincides."""
+    found = scipy.spatial.cKDTree(points).query(points, k=count + 1)[1]
+    own = found == np.arange(len(points))[:, None]
+    own[~own.any(axis=1), -1] = True
+    others: npt.NDArray[np.intp] = found[~own].reshape(len(points), count)
+    return others
+
+
+def _geodesics(
+    points: Points, landmarks: npt.NDArray[np.intp], spacing: float
+) -> npt.NDArray[np.float64]:
+    """Shortest paths inside the body between landmarks [dx], shape [k, k]; inf between pieces."""
+    cell = np.floor(points / (NODE_CELL_OVER_H * spacing)).astype(np.int64)
+    off_centre = ((points / (NODE_CELL_OVER_H * spacing) - cell - 0.5) ** 2).sum(axis=1)
+    order = np.argsort(off_centre, kind="stable")
+    central = order[np.unique(cell[order], axis=0, return_index=True)[1]]
+    nodes = np.concatenate([landmarks, np.setdiff1d(central, landmarks)])
+    places = points[nodes]
+
+    edges = scipy.spatial.cKDTree(places).query_pairs(EDGE_OVER_H * spacing, output_type="ndarray")
+    a, b = places[edges[:, 0]], places[edges[:, 1]]
+    length = np.linalg.norm(b - a, axis=1)
+    tree = scipy.spatial.cKDTree(points)
+    inside = np.ones(len(edges), bool)
+    stops = int(EDGE_OVER_H)
+    for share in np.arange(1, stops) / stops:
+        way = a[inside] + share * (b - a)[inside]
+        reach = tree.query(way, distance_upper_bound=COVERING_RADIUS_OVER_H * spacing)[0]
+        inside[inside] = np.isfinite(reach)
+    edges, length = edges[inside], np.maximum(length[inside], 1e-12)
+    graph = scipy.sparse.coo_array(
+        (length, (edges[:, 0], edges[:, 1])), shape=(len(nodes),) * 2
+    ).tocsr()
+    count = len(landmarks)
+    ways: npt.NDArray[np.float64] = scipy.sparse.csgraph.dijkstra(
+        graph, directed=False, indices=np.arange(count)
+    )[:, :count]
+    return ways

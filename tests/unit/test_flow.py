@@ -1,0 +1,269 @@
+"""The body, the pressure that matter flows by, like parts, and the method made of them."""
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from morph_engine import backend, morph
+from morph_engine.flow import (
+    BodyPath,
+    LayerArrays,
+    Projection,
+    Settling,
+    Warp,
+    fine_axis,
+    match,
+    prepare,
+    sample_controls,
+)
+from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.geometry.shapes import make
+from morph_engine.geometry.signed_distance import cloud_distance, mesh_distance
+from morph_engine.morphing import prepare as prepare_run
+from morph_engine.mpm import Grid
+from morph_engine.presets import configure
+
+GRID = Grid(dx=1.0, half_extent=8.0, width=3)
+SMALL = {"method": "flow", "sampling.points_per_cell_edge": 2, "frames": 4}
+
+
+def ball_distance(centre: tuple[float, float, float], radius: float) -> np.ndarray:
+    """Signed distance to a ball on the fine lattice of the grid."""
+    axis = fine_axis(GRID)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    return (np.linalg.norm(points - centre, axis=-1) - radius).astype(np.float32)
+
+
+def limbed(spacing: float) -> np.ndarray:
+    """Points that fill a body with three limbs of different length, which has no symmetry."""
+    axis = np.arange(-6, 6, spacing)
+    p = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    limbs = [((0, 1, 2), 6.0), ((1, 2, 0), 4.0), ((2, 0, 1), 2.5)]
+    inside = np.zeros(len(p), bool)
+    for (along, one, other), length in limbs:
+        near = (np.abs(p[:, one]) < 1.1) & (np.abs(p[:, other]) < 1.1)
+        inside |= near & (p[:, along] > -1.1) & (p[:, along] < length)
+    return p[inside]
+
+
+def test_distance_to_a_mesh_is_exact_near_it_and_close_everywhere() -> None:
+    """Of a sphere it is the distance from its centre less the radius, but for the facets."""
+    mesh = make("sphere")
+    radius = (mesh.volume * 3 / 4 / np.pi) ** (1 / 3)
+    centre = mesh.bounds.mean(axis=0)
+    axis = np.linspace(-12, 12, 49)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    wanted = np.linalg.norm(points - centre, axis=-1) - radius
+    error = np.abs(mesh_distance(mesh, axis, band=1.5) - wanted)
+    assert error[np.abs(wanted) < 1].max() < 0.06 * radius
+    assert np.abs(error[np.linalg.norm(points - centre, axis=-1) > 2]).max() < 0.1 * radius
+
+
+def test_distance_to_a_cloud_encloses_its_volume() -> None:
+    """A cube of points at a spacing h has the volume of so many cells."""
+    axis = np.arange(-3, 3, 0.5) + 0.25
+    cube = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    lattice = np.linspace(-5, 5, 101)
+    filled = np.count_nonzero(cloud_distance(cube, lattice, radius=0.5) < 0) * 0.1**3
+    assert filled == pytest.approx(6**3, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
+def test_a_body_has_its_share_of_both_volumes_and_all_the_matter(share: float) -> None:
+    """Volume is linear in the share; the mass at nodes is everything there is."""
+    path = BodyPath(
+        ball_distance((-1, 0, 0), 3), ball_distance((2, 0, 0), 4), GRID, reach=4, matter=500
+    )
+    body = path.at(share)
+    first, last = path.volumes
+    volume = np.count_nonzero(body.level < 0) / 8
+    assert first == pytest.approx(4 / 3 * np.pi * 27, rel=0.02)
+    assert volume == pytest.approx((1 - share) * first + share * last, rel=0.01)
+    assert body.mass.sum() == pytest.approx(500, rel=1e-4)
+
+
+def test_a_body_has_its_volume_between_ends_that_lie_far_apart() -> None:
+    """Between two balls that do not touch there is one, however far they are."""
+    ends = (ball_distance((-5, 0, 0), 2), ball_distance((5, 0, 0), 2))
+    body = BodyPath(*ends, GRID, reach=4, matter=30).at(0.5)
+    assert np.count_nonzero(body.level < 0) / 8 == pytest.approx(4 / 3 * np.pi * 8, rel=0.1)
+
+
+def test_the_pressure_moves_matter_to_where_the_body_goes() -> None:
+    """A ball that shifts as a whole flows as a whole: by potential flow, a uniform velocity."""
+    backend.start("cpu", threads=2)
+    shift, dt = 0.1, 0.05
+    path = BodyPath(
+        ball_distance((0, 0, 0), 4), ball_distance((shift, 0, 0), 4), GRID, reach=4, matter=268
+    )
+    now, then = (path.at(share).mass.ravel() for share in (0.0, 1.0))
+    device = backend.active()
+    projection = Projection(GRID, full=1.0, gain=0.3, tolerance=1e-5)
+    nodes = device.vectors(GRID.node_count, 4)
+    values = np.zeros((GRID.node_count, 4), np.float32)
+    values[:, 3] = now
+    nodes.from_numpy(values)
+    projection.project(nodes, device.upload(now), device.upload(then), dt)
+    moved = nodes.to_numpy()[now > 0.99, :3]
+    assert moved[:, 0] == pytest.approx(shift / dt, rel=0.15)
+    assert np.abs(moved[:, 1:]).max() < 0.1 * shift / dt
+
+
+def test_the_pressure_takes_out_a_flow_through_the_surface() -> None:
+    """Matter that rushes along a body that stays where it is is stopped."""
+    backend.start("cpu", threads=2)
+    ball = ball_distance((0, 0, 0), 4)
+    mass = BodyPath(ball, ball, GRID, reach=4, matter=268).at(0.5).mass.ravel()
+    device = backend.active()
+    nodes = device.vectors(GRID.node_count, 4)
+    values = np.zeros((GRID.node_count, 4), np.float32)
+    values[:, 3] = mass
+    values[mass > 0, 0] = 1.0
+    nodes.from_numpy(values)
+    wanted = device.upload(mass)
+    Projection(GRID, full=1.0, gain=0.3, tolerance=1e-5).project(nodes, wanted, wanted, 0.05)
+    assert np.abs(nodes.to_numpy()[mass > 0.99, :3]).max() < 0.15
+
+
+def test_particles_too_close_move_apart_and_others_stay() -> None:
+    """Each of a pair makes room by as much, along the line between them."""
+    backend.start("cpu", threads=2)
+    x = np.float32([[0, 0, 0], [0.2, 0, 0], [3, 3, 3], [3, 3.6, 3]])
+    device = backend.active()
+    positions, moved = device.upload(x), device.scalars(len(x))
+    settling = Settling(len(x), GRID, spacing=0.5)
+    settling.settle(positions, moved, distance=0.4, most=1.0)
+    after = positions.to_numpy()
+    assert after[0] == pytest.approx([-0.05, 0, 0], abs=1e-6)
+    assert after[1] == pytest.approx([0.25, 0, 0], abs=1e-6)
+    assert (after[2:] == x[2:]).all()
+    assert moved.to_numpy() == pytest.approx([0.05, 0.05, 0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5, 1.0])
+def test_strain_yields_and_changes_of_volume_are_kept_apart(kept: float) -> None:
+    """b = F F^T, without its change of volume, goes towards the identity; det F is handed over."""
+    backend.start("cpu", threads=2)
+    device = backend.active()
+    F = np.float32([[1.5, 0.2, 0], [0, 0.9, 0.1], [0.1, 0, 1.1]])
+    layer = {"x": device.vectors(1), "v": device.vectors(1)}
+    layer |= {"C": device.matrices(1), "F": device.matrices(1)}
+    layer["F"].from_numpy(F[None])
+    ratio = device.upload(np.ones(1))
+    inside = device.upload(np.full(len(fine_axis(GRID)) ** 3, -5.0))
+    still, share, depth, firmness, momentum, dt = device.vectors(1), 0.0, 0.1, 1.0, 0.0, 0.01
+    prepare(
+        LayerArrays(**layer), ratio, still, inside, inside, share, depth, firmness, momentum, kept,
+        dt, GRID,
+    )  # fmt: skip
+    J = np.linalg.det(F)
+    wanted = kept * J ** (-2 / 3) * F @ F.T + (1 - kept) * np.eye(3)
+    wanted /= np.linalg.det(wanted) ** (1 / 3)
+    after = layer["F"].to_numpy()[0]
+    assert after @ after.T == pytest.approx(wanted, abs=1e-5)
+    assert ratio.to_numpy() == pytest.approx([J], rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def turned() -> tuple[np.ndarray, Rotation, Warp, float]:
+    """A body, a turn, the warp found from the body to its turned image, and the distortion."""
+    source, turn = limbed(0.5), Rotation.from_euler("zx", [80, 30], degrees=True)
+    target = turn.apply(limbed(0.45))
+    found = match(sample_controls(source, 0.5), sample_controls(target, 0.45))
+    assert found.distortion < found.plain_distortion
+    return source, turn, Warp(found), found.distortion
+
+
+def test_a_turned_body_is_found_and_turns_rigidly(turned) -> None:
+    """Every point ends near its own place, and distances hold on the way."""
+    source, turn, warp, distortion = turned
+    assert distortion < 0.2
+    end = warp.forward(source, 1.0)
+    assert np.sqrt(np.mean(np.sum((end - turn.apply(source)) ** 2, axis=1))) < 0.5
+    half = warp.forward(source, 0.5)
+    pairs = cKDTree(source).query_pairs(3.0, output_type="ndarray")[::50]
+    before, after = (
+        np.linalg.norm(p[pairs[:, 0]] - p[pairs[:, 1]], axis=1) for p in (source, half)
+    )
+    assert after == pytest.approx(before, abs=0.3)
+
+
+def test_a_warp_knows_where_points_come_from_and_go(turned) -> None:
+    """`ends` undoes and completes `forward`."""
+    source, _, warp, _ = turned
+    begin, end = warp.ends(warp.forward(source, 0.4), 0.4)
+    assert np.abs(begin - source).mean() < 0.05
+    assert np.abs(end - warp.forward(source, 1.0)).mean() < 0.1
+
+
+def test_matter_fills_the_target_and_stays_one_body() -> None:
+    """Particles end inside the target, evenly, and no more are moved by settling than may be."""
+    config = configure(overrides=SMALL | {"frames": 16})
+    frames = list(morph("sphere", "star", config, threads=2))
+    last = frames[-1]
+    assert last.metrics["cover"] > 0.94
+    assert last.metrics["outside_share"] < 0.01
+    assert last.metrics["rho_p05"] > 0.8
+    positions = [
+        prepare_run("sphere", "star", config).source_points,
+        *(f.positions for f in frames),
+    ]
+    path = sum(np.linalg.norm(b - a, axis=1).mean() for a, b in pairwise(positions))
+    assert sum(frame.metrics["correction"] for frame in frames) < 0.0201 * path
+    nearest = cKDTree(frames[8].positions).query(frames[8].positions, 2)[0][:, 1]
+    assert nearest.max() < 2 * config.spacing  # nobody is left behind
+
+
+def test_elasticity_decides_the_path() -> None:
+    """Stiff and soft matter take other paths to the same body."""
+    paths = [
+        list(morph("heart", "star", configure(overrides=SMALL | {"material.youngs_modulus": e})))
+        for e in (1.0, 140_000.0)
+    ]
+    apart = np.linalg.norm(paths[0][2].positions - paths[1][2].positions, axis=1)
+    assert np.sqrt(np.mean(apart**2)) > 0.02
+    assert all(frames[-1].metrics["cover"] > 0.9 for frames in paths)
+
+
+def test_a_resumed_run_and_any_number_of_threads_give_the_same_bits(tmp_path) -> None:
+    """A run cut after two frames goes on as if nothing had happened."""
+    config = configure(overrides=SMALL)
+    whole = [f.positions for f in morph("sphere", "star", config, threads=1)]
+    out = tmp_path / "run.vtkhdf"
+    for frame in morph("sphere", "star", config, threads=1, out=out):
+        if frame.index == 1:
+            break
+    resumed = [
+        f.positions for f in morph("sphere", "star", config, threads=1, out=out, resume=True)
+    ]
+    for one, other in zip(whole, resumed, strict=True):
+        assert np.array_equal(one, other)
+    code = (
+        "import numpy as np; from morph_engine import morph; from morph_engine.presets import "
+        f"configure; print(hash(b''.join(f.positions.tobytes() for f in morph('sphere', 'star', "
+        f"configure(overrides={SMALL!r}), threads=2))))"
+    )
+    environment = os.environ | {"PYTHONHASHSEED": "0"}
+    here = subprocess.run(
+        [sys.executable, "-c", code.replace("threads=2", "threads=1")],
+        capture_output=True, text=True, check=True, env=environment,
+    ).stdout  # fmt: skip
+    there = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    ).stdout
+    assert here == there
+
+
+def test_clouds_are_morphed_as_meshes_are() -> None:
+    """Without a mesh the body is the union of balls around the points."""
+    clouds = [
+        sample_lattice(make(name), spacing=0.5, jitter="none") for name in ("sphere", "heart")
+    ]
+    last = list(morph(*clouds, configure(overrides=SMALL)))[-1]
+    assert last.metrics["cover"] > 0.95
