@@ -204,16 +204,18 @@ export class Viewer {
     this.reset();
   }
 
-  /** Where the camera is, to be given to another viewer. */
+  /** Where the camera is and what it was fitted to, to be given to another viewer. */
   get view() {
     return {
       position: this.camera.position.toArray(),
       target: this.controls.target.toArray(),
+      frameOf: this.#frameOf,
     };
   }
 
-  set view({ position, target }) {
+  set view({ position, target, frameOf }) {
     this.#touched = true;
+    if (frameOf) this.#fit(frameOf);
     this.camera.position.fromArray(position);
     this.controls.target.fromArray(target);
     this.#quietly(() => this.controls.update());
@@ -233,7 +235,7 @@ export class Viewer {
     if (box.isEmpty()) return;
     const center = box.getCenter(new Vector3());
     const radius = Math.max(...clouds.map(({ positions }) => reach(positions, center)), 0.1);
-    this.#frameOf = new Sphere(center, radius);
+    this.#fit(new Sphere(center, radius));
     this.#touched = false;
     const narrow = Math.min(1, this.camera.aspect);
     const distance = (1.02 * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
@@ -242,13 +244,19 @@ export class Viewer {
       .set(...FROM[this.#up])
       .setLength(distance)
       .add(center);
+    this.#quietly(() => this.controls.update());
+    this.draw();
+  }
+
+  /** Take the depths that are drawn, shaded and allowed from what is in sight. */
+  #fit(sphere) {
+    const { radius } = sphere;
+    this.#frameOf = sphere;
     this.camera.near = radius / 100;
     this.camera.far = radius * 40;
     this.controls.minDistance = radius / 10;
     this.controls.maxDistance = radius * 20;
     this.camera.updateProjectionMatrix();
-    this.#quietly(() => this.controls.update());
-    this.draw();
   }
 
   /** Turn the camera about what it looks at [radians]. */
