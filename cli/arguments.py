@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from morph_engine.errors import ConfigError, ResultError
 
@@ -38,6 +41,33 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found:
         raise ConfigError(f"{text!r} is no size.", "Write it as in 960x720.")
     return int(found[1]), int(found[2])
+
+
+def read_landmarks(pairs: Iterable[str], file: Path | None) -> list[dict[str, Any]] | None:
+    """Pairs of points as typed, x,y,z:x,y,z, and as a JSON file holds them; None if there are none.
+
+    Raises:
+        ConfigError: They cannot be read; what they say is for the configuration to judge.
+    """
+    found: list[dict[str, Any]] = []
+    if file:
+        try:
+            content = json.loads(file.read_text())
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"{file} holds no landmarks: {error}.",
+                'Write it as in [{"source": [0, 1, 2], "target": [3, 4, 5]}].',
+            ) from None
+        found += content if isinstance(content, list) else [content]
+    for pair in pairs:
+        try:
+            source, target = ([float(x) for x in end.split(",")] for end in pair.split(":"))
+        except ValueError:
+            raise ConfigError(
+                f"{pair!r} is no pair of points.", "Write it as in --landmark 0,1,2:3,4,5."
+            ) from None
+        found.append({"source": source, "target": target})
+    return found or None
 
 
 def parse_list(text: str) -> list[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand, TyperOption
 
+from chamfer_morph.cli.arguments import read_landmarks
 from chamfer_morph.cli.output import print_result
 from morph_engine.errors import ConfigError
 
@@ -64,6 +65,18 @@ class ConfigOptions:
         int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
     ] = None
     fit: Annotated[Fit | None, typer.Option(help=FIT_HELP)] = None
+    landmark: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,Z:X,Y,Z", help="A point of the source, and of the target where it ends."
+        ),
+    ] = None
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Such pairs in JSON: [{source: [x, y, z], target: ...}]."
+        ),
+    ] = None
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="Any setting; see morph presets fast."),
@@ -73,8 +86,9 @@ class ConfigOptions:
         """Settings by dotted path: those of options, and `path=value` as after --set.
 
         Raises:
-            ConfigError: One has no equals sign.
+            ConfigError: One has no equals sign, or landmarks cannot be read.
         """
+        options["landmarks"] = read_landmarks(self.landmark or (), self.landmarks)
         options["sampling.points_per_cell_edge"] = self.points_per_cell_edge
         options["sampling.fit"] = self.fit
         chosen = {path: value for path, value in options.items() if value is not None}

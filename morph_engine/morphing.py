@@ -203,8 +203,19 @@ def _frames(
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
     config = record.config
-    ends = (_fitted(shape, config) for shape in (record.source, record.target))
-    method = kind(Problem(record.source_points, record.target_points, config, *ends))
+    source, source_to_grid = _fitted(record.source, config)
+    target, target_to_grid = _fitted(record.target, config)
+    method = kind(
+        Problem(
+            record.source_points,
+            record.target_points,
+            config,
+            source_mesh=source,
+            target_mesh=target,
+            source_to_grid=source_to_grid,
+            target_to_grid=target_to_grid,
+        )
+    )
     stopping = EarlyStopping(config)
     start = 0
     checkpoint = spool.load_checkpoint() if spool else None
@@ -364,11 +375,12 @@ def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Sim
     return points, similarity
 
 
-def _fitted(shape: Shape, config: MorphConfig) -> Mesh | None:
-    """The mesh in grid units; None for a point cloud."""
+def _fitted(shape: Shape, config: MorphConfig) -> tuple[Mesh | None, NDArray[np.float64]]:
+    """The mesh in grid units, None for a point cloud, and what maps the user's coordinates."""
     if not isinstance(shape, Mesh):
-        return None
-    return fit_to_domain(shape, mode=config.sampling.fit)[0]
+        return None, np.eye(4)
+    mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
+    return mesh, _matrix(similarity)
 
 
 def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:

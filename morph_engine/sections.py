@@ -14,6 +14,8 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+Coordinate = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
 
 Kernel = Literal["cubic", "quadratic"]
 

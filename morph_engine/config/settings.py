@@ -107,7 +107,10 @@ def validated(tree: Mapping[str, Any]) -> MorphConfig:
             raise _unknown(path, method["name"] if "name" in method else str(method)) from None
         message = first["msg"].removeprefix("Value error, ")
         is_group = isinstance(first["input"], Mapping | BaseModel) or not path
-        given = "" if is_group else f"{path} = {first['input']!r}: "
+        if first["type"] == "missing":
+            given = f"{path}: "
+        else:
+            given = "" if is_group else f"{path} = {first['input']!r}: "
         raise ConfigError(
             f"The configuration is not valid: {given}{message[0].lower()}{message[1:]}.",
             _remedy(first),

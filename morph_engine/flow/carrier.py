@@ -14,6 +14,12 @@ REFINEMENT = 2
 COARSENING = 2
 """Grid cells between the points at which a warp is evaluated."""
 
+MARGIN = 3.0
+"""Distances are blended so far from the controls [dx]; the body ends nearer to them."""
+
+FAR = 1e3
+"""Distance that stands for all beyond [dx]."""
+
 
 class Carrier:
     """Distances that are carried by a warp and blended, on the device."""
@@ -24,16 +30,22 @@ class Carrier:
         self._ends = [backend.active().upload(end.ravel()) for end in ends]
         self._level = backend.active().scalars(ends[0].size)
         self._count = ends[0].shape[0]
-        axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
-        self._coarse_count = len(axis)
-        self._nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
 
     def blended(self, share: float) -> NDArray[np.float32]:
         """phi_s on the fine lattice [dx], shape [m, m, m]."""
         upload = backend.active().upload
+        controls, _ = self._warp.at(share)
+        corner, axes = [], []
+        for low, high in zip(controls.min(axis=0), controls.max(axis=0), strict=True):
+            first, last = np.searchsorted(self._axis, (low - MARGIN, high + MARGIN))
+            corner.append(max(int(first) - 1, 0))
+            axes.append(self._axis[corner[-1] : last + 1])
+        nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         carry(
-            *map(upload, self._warp.ends(self._nodes, share)), *self._ends, self._level, share,
-            self._grid.origin, self._grid.dx / REFINEMENT, self._count, self._coarse_count,
+            *map(upload, self._warp.ends(nodes, share)), *self._ends, self._level, share,
+            self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
+            ti.math.ivec3(corner), ti.math.ivec3([len(axis) for axis in axes]),
         )  # fmt: skip
         level: NDArray[np.float32] = (
             self._level.to_numpy().astype(np.float32).reshape((self._count,) * 3)
@@ -42,23 +54,18 @@ class Carrier:
 
 
 @ti.func
-def corner_and_weights(along, count: int):
-    """Lowest lattice point around a place given in steps, and how far along the cell it is."""
-    inside = ti.math.clamp(along, 0.0, count - 1.001)
+def interpolated(field: ti.template(), along, size):
+    """Trilinear interpolation of a field of some size at a place given in lattice steps."""
+    inside = ti.math.clamp(along, 0.0, size - 1.001)
     corner = ti.floor(inside, int)
-    return corner, inside - corner
-
-
-@ti.func
-def interpolated(field: ti.template(), along, count: int):
-    """Trilinear interpolation of a field at a place given in lattice steps."""
-    corner, f = corner_and_weights(along, count)
+    f = inside - corner
     total = ti.zero(field[0])
     for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
         x = f.x if ti.static(i == 1) else 1 - f.x
         y = f.y if ti.static(j == 1) else 1 - f.y
         z = f.z if ti.static(k == 1) else 1 - f.z
-        total += x * y * z * field[((corner.x + i) * count + corner.y + j) * count + corner.z + k]
+        at = ((corner.x + i) * size.y + corner.y + j) * size.z + corner.z + k
+        total += x * y * z * field[at]
     return total
 
 
@@ -72,14 +79,21 @@ def carry(
     share: float,
     origin: float,
     step: float,
-    count: int,
-    coarse_count: int,
+    size: ti.math.ivec3,
+    corner: ti.math.ivec3,
+    coarse_size: ti.math.ivec3,
 ):
-    """Blend both distances, each at the place where a point of the lattice comes from or goes."""
+    """Blend both distances, each at the place where a point of the lattice comes from or goes.
+
+    `back` and `onward` hold those places for a box of the coarser lattice.
+    """
     for n in range(level.shape[0]):
-        place = ti.Vector([n // (count * count), (n // count) % count, n % count])
-        along = ti.cast(place, float) / (REFINEMENT * COARSENING)
-        here = (interpolated(back, along, coarse_count) - origin) / step
-        there = (interpolated(onward, along, coarse_count) - origin) / step
-        level[n] = (1 - share) * interpolated(source, here, count)
-        level[n] += share * interpolated(target, there, count)
+        place = ti.Vector([n // (size.y * size.z), (n // size.z) % size.y, n % size.z])
+        along = ti.cast(place, float) / (REFINEMENT * COARSENING) - corner
+        blended = FAR
+        if along.min() >= 0 and (coarse_size - 1 - along).min() >= 0:
+            here = (interpolated(back, along, coarse_size) - origin) / step
+            there = (interpolated(onward, along, coarse_size) - origin) / step
+            blended = (1 - share) * interpolated(source, here, size)
+            blended += share * interpolated(target, there, size)
+        level[n] = blended

@@ -8,6 +8,9 @@ them, and by the geodesic distances between these inside the shape. The transpor
 with lengths over the mean geodesic distance of each shape (Vayer et al. 2020). The problem has many
 local minima, so it is solved from several starts: the plans that turn the source by each rotation
 of a cube before they carry it to the target. Those that mirror the shape are left out.
+
+Landmarks are the first controls of both shapes and belong together. The geodesic distances to them
+take the place of x_i and y_j then, and give one start more.
 """
 
 from __future__ import annotations
@@ -31,6 +34,11 @@ Points = NDArray[np.float64]
 
 CONTROLS = 128
 ALPHA = 0.9
+"""Weight of the geodesic distances between controls."""
+
+LANDMARK_ALPHA = 0.5
+"""The same beside landmarks."""
+
 ITERATIONS = 60
 
 NODE_EDGE = 2.0
@@ -51,12 +59,14 @@ class Controls:
         weights: Share of the matter, shape [k], of sum 1.
         geodesic: Distances inside the shape, over their mean, shape [k, k].
         scale: That mean [dx].
+        landmark_count: How many of them, the first, are landmarks.
     """
 
     points: Points
     weights: NDArray[np.float64]
     geodesic: NDArray[np.float64]
     scale: float
+    landmark_count: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,24 +90,49 @@ class Correspondence:
     @property
     def images(self) -> Points:
         """Where each control of the source belongs [dx], shape [k, 3]."""
-        images: Points = (self.plan / self.plan.sum(axis=1, keepdims=True)) @ self.target.points
-        return images
+        return images_of(self.plan, self.target)
 
 
-def sample_controls(points: Points, spacing: float, count: int = CONTROLS) -> Controls:
-    """Control points of a shape filled with points [dx], shape [n, 3], at a spacing [dx]."""
+def images_of(plan: NDArray[np.float64], target: Controls) -> Points:
+    """Where a plan carries each control of the source [dx], shape [k, 3]; landmarks to landmarks.
+
+    Args:
+        plan: Shape [k, l].
+        target: Controls of the target.
+    """
+    images: Points = (plan / np.maximum(plan.sum(axis=1, keepdims=True), 1e-300)) @ target.points
+    images[: target.landmark_count] = target.points[: target.landmark_count]
+    return images
+
+
+def sample_controls(
+    points: Points, spacing: float, landmarks: Points | None = None, count: int = CONTROLS
+) -> Controls:
+    """Control points of a shape.
+
+    Args:
+        points: Points that fill the shape [dx], shape [n, 3].
+        spacing: Distance between them [dx].
+        landmarks: Points that are to be controls [dx], shape [k, 3]; those nearest to them inside
+            the shape have their geodesic distances.
+        count: Controls beside the landmarks.
+    """
     nodes = _one_per_cell(points, NODE_EDGE * spacing)
     pairs = cKDTree(nodes).query_pairs(GRAPH_REACH * spacing, output_type="ndarray")
     lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
     graph = scipy.sparse.csr_array((lengths, pairs.T), shape=(len(nodes), len(nodes)))
     chosen = farthest_points(nodes, count)
+    marked = np.empty((0, 3)) if landmarks is None else landmarks
+    nearest_node = cKDTree(nodes).query(marked)[1]
+    chosen = np.concatenate([nearest_node, chosen[~np.isin(chosen, nearest_node)]])
     geodesic = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=chosen)[:, chosen]
     finite = np.isfinite(geodesic)
     geodesic[~finite] = 2 * geodesic[finite].max()  # of parts that do not touch
     nearest = cKDTree(nodes[chosen]).query(points)[1]
     weights = np.bincount(nearest, minlength=len(chosen)) / len(points)
     scale = float(weights @ geodesic @ weights)
-    return Controls(nodes[chosen], weights, geodesic / scale, scale)
+    controls = np.concatenate([marked, nodes[chosen[len(marked) :]]])
+    return Controls(controls, weights, geodesic / scale, scale, len(marked))
 
 
 def match(source: Controls, target: Controls) -> Correspondence:
@@ -112,11 +147,17 @@ def match(source: Controls, target: Controls) -> Correspondence:
         for turned in (rotation.apply(a) for rotation in Rotation.create_group("O"))
     ]
     plain = starts[0]
+    alpha = ALPHA
+    if source.landmark_count:
+        alpha = LANDMARK_ALPHA
+        to_landmarks = (each.geodesic[:, : each.landmark_count] for each in (source, target))
+        cost = scipy.spatial.distance.cdist(*to_landmarks, "sqeuclidean") / source.landmark_count
+        starts.append(ot.emd(source.weights, target.weights, cost))
     found: list[tuple[float, int, NDArray[np.float64]]] = []
     for start in starts:
         plan, log = ot.gromov.fused_gromov_wasserstein(
             cost, source.geodesic, target.geodesic, source.weights, target.weights,
-            alpha=ALPHA, G0=start, log=True, max_iter=ITERATIONS,
+            alpha=alpha, G0=start, log=True, max_iter=ITERATIONS,
         )  # fmt: skip
         if not _mirrors(source, target, plan):
             found.append((float(log["fgw_dist"]), len(found), plan))
@@ -124,11 +165,6 @@ def match(source: Controls, target: Controls) -> Correspondence:
     return Correspondence(
         source, target, plan, _distortion(source, target, plan), _distortion(source, target, plain)
     )
-
-
-def _squared(a: Points, b: Points) -> NDArray[np.float64]:
-    squared: NDArray[np.float64] = scipy.spatial.distance.cdist(a, b, "sqeuclidean")
-    return squared
 
 
 def _distortion(source: Controls, target: Controls, plan: NDArray[np.float64]) -> float:
@@ -139,7 +175,7 @@ def _distortion(source: Controls, target: Controls, plan: NDArray[np.float64]) -
 
 def _mirrors(source: Controls, target: Controls, plan: NDArray[np.float64]) -> bool:
     """Whether most of the matter would be turned inside out."""
-    images = (plan / plan.sum(axis=1, keepdims=True)) @ target.points
+    images = images_of(plan, target)
     near = np.argsort(source.geodesic, axis=1)[:, : NEIGHBORS + 1]
     here = source.points[near] - source.points[near].mean(axis=1, keepdims=True)
     there = images[near] - images[near].mean(axis=1, keepdims=True)

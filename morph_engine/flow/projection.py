@@ -8,8 +8,8 @@ where it shall be (incompressible MPM, Stomakhin et al. 2014, with a divergence 
 m* and m*' are the wanted masses before and after the time step. The first term is the flow that the
 change of the body asks for; the second closes the loop, so that errors do not add up. a is the
 share of a node that is filled, max(m, m*, m*') and at most 1: nothing flows through empty nodes.
-Face values are means of two nodes; psi is found by conjugate gradients, from that of the step
-before.
+Face values are means of two nodes; psi is found by conjugate gradients with a multigrid
+preconditioner, from that of the step before.
 """
 
 from typing import Any
@@ -18,6 +18,15 @@ import taichi as ti
 
 from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_COUNT, CPU_CHUNK_STRIDE
+from morph_engine.flow.multigrid import (
+    SELF_WEIGHT,
+    System,
+    assemble_coarse,
+    levels_of,
+    list_coarse_rows,
+    new_system,
+    v_cycle,
+)
 from morph_engine.mpm.grid import Grid, is_inside
 
 LEAST_FILLED = 0.05
@@ -29,16 +38,11 @@ cannot be thrown out there."""
 
 CALM = 0.3
 GPU_CHUNK_COUNT = 4096
-BATCH = 8
-"""Iterations between two looks at the residual."""
 
-Arrays: Any = ti.types.argpack(
-    **dict.fromkeys(("index", "potential"), ti.types.ndarray()),
-    **dict.fromkeys(("node", "neighbors", "weights", "filled"), ti.types.ndarray()),
-    **dict.fromkeys(("rhs", "x", "r", "p", "q", "diagonal", "partial"), ti.types.ndarray()),
+Vectors: Any = ti.types.argpack(
+    **dict.fromkeys(("potential", "filled", "x", "p", "q", "partial"), ti.types.ndarray())
 )
-"""Of all nodes: number among the filled ones or -1, and psi. Of the filled ones: the node, its six
-neighbours among them, the face weights, a; and the linear system."""
+"""psi of all nodes. Of the rows: a, solution, direction and its image. Sums of chunks of rows."""
 
 
 class Projection:
@@ -54,7 +58,7 @@ class Projection:
 
     def __init__(
         self, grid: Grid, *, full: float, gain: float, tolerance: float = 5e-3,
-        iterations: int = 400,
+        iterations: int = 100,
     ) -> None:  # fmt: skip
         device = backend.active()
         self.grid = grid
@@ -66,22 +70,16 @@ class Projection:
         n = grid.node_count
         self._chunks = CPU_CHUNK_COUNT if device.on_cpu else GPU_CHUNK_COUNT
         self._stride = CPU_CHUNK_STRIDE if device.on_cpu else 1
-        self._count = device.integers(1)
-        names = ("rhs", "x", "r", "p", "q", "diagonal")
-        self._arrays: Any = Arrays(
-            index=device.integers(n),
-            node=device.integers(n),
-            neighbors=device.integer_vectors(n, 6),
-            weights=device.vectors(n, 6),
-            filled=device.scalars(n),
-            potential=device.scalars(n),
+        self._levels = levels_of(grid.resolution)
+        self._system = new_system(self._levels)
+        self._vectors: Any = Vectors(
             partial=device.vectors(self._chunks, 4),
-            **{name: device.scalars(n) for name in names},
+            **{name: device.scalars(n) for name in ("potential", "filled", "x", "p", "q")},
         )
 
     def forget(self) -> None:
         """Start from psi = 0, as a resumed run does."""
-        self._arrays.potential.fill(0)
+        self._vectors.potential.fill(0)
 
     def project(self, nodes: Any, wanted: Any, wanted_next: Any, dt: float) -> None:
         """Change node velocities in place.
@@ -92,33 +90,37 @@ class Projection:
             wanted_next: m*' likewise.
             dt: Time step [s].
         """
-        a, grid = self._arrays, self.grid
-        collect(nodes, wanted, wanted_next, a, self._count, self.full, grid)
-        count = int(self._count[0])
+        system, vectors, grid = self._system, self._vectors, self.grid
+        list_rows(nodes, wanted, wanted_next, system, vectors, self.full, grid)
+        list_coarse_rows(system, self._levels)
+        count = int(system.counts[0])
         size = -(-count // self._chunks)
-        assemble(nodes, wanted, wanted_next, a, count, self.full, self.gain, dt, grid)
-        begin(a, count, self._chunks, size, self._stride)
+        chunks = (count, self._chunks, size, self._stride)
+        assemble(nodes, wanted, wanted_next, system, vectors, self.full, self.gain, dt, grid)
+        assemble_coarse(system, self._levels)
+        begin(system, vectors, *chunks)
         limit = self.tolerance * max(self._largest(), 1e-12)
         self.iterations_made = 0
         while self.iterations_made < self.iterations:
-            iterate(a, count, self._chunks, size, self._stride)
-            self.iterations_made += BATCH
+            v_cycle(system, self._levels)
+            descend(system, vectors, self.iterations_made == 0, *chunks)
+            self.iterations_made += 1
             if self._largest() < limit:
                 break
-        finish(nodes, a, count, grid)
+        finish(nodes, system, vectors, count, grid)
         calm(nodes, NEARLY_EMPTY * self.full, CALM * grid.dx / dt)
 
     def _largest(self) -> float:
-        return float(self._arrays.partial.to_numpy()[:, 3].max())
+        return float(self._vectors.partial.to_numpy()[:, 3].max())
 
 
 @ti.kernel
-def collect(
+def list_rows(
     nodes: ti.types.ndarray(),
     wanted: ti.types.ndarray(),
     wanted_next: ti.types.ndarray(),
-    arrays: Arrays,
-    count: ti.types.ndarray(),
+    system: System,
+    vectors: Vectors,
     full: float,
     grid: ti.template(),
 ):
@@ -128,14 +130,14 @@ def collect(
         found = 0
         for i in range(grid.node_count):
             share = ti.max(wanted[i], wanted_next[i])
-            arrays.index[i] = -1
+            system.index[i] = -1
             if share > LEAST_FILLED:
                 if is_inside(i, grid):
-                    arrays.index[i] = found
-                    arrays.node[found] = i
-                    arrays.filled[found] = ti.min(ti.max(share, nodes[i].w / full), 1.0)
+                    system.index[i] = found
+                    system.node[found] = i
+                    vectors.filled[found] = ti.min(ti.max(share, nodes[i].w / full), 1.0)
                     found += 1
-        count[0] = found
+        system.counts[0] = found
 
 
 @ti.kernel
@@ -143,116 +145,122 @@ def assemble(
     nodes: ti.types.ndarray(),
     wanted: ti.types.ndarray(),
     wanted_next: ti.types.ndarray(),
-    arrays: Arrays,
-    count: int,
+    system: System,
+    vectors: Vectors,
     full: float,
     gain: float,
     dt: float,
     grid: ti.template(),
 ):
     """The linear system, and its solution of the step before."""
-    for k in range(count):
-        i = arrays.node[k]
+    for k in range(system.counts[0]):
+        i = system.node[k]
         change = wanted_next[i] - wanted[i] + gain * (wanted[i] - nodes[i].w / full)
-        source, total = change * grid.dx**2 / dt, 1e-6
+        source, total = change * grid.dx**2 / dt, SELF_WEIGHT
         for f in ti.static(range(6)):
             axis, sign = ti.static(f // 2, 1 - 2 * (f % 2))
             step = ti.static(sign * grid.resolution ** (2 - axis))
-            other = arrays.index[i + step]
+            other = system.index[i + step]
             weight = 0.0
             if other >= 0:
-                weight = 0.5 * (arrays.filled[k] + arrays.filled[other])
+                weight = 0.5 * (vectors.filled[k] + vectors.filled[other])
                 flow = 0.5 * (nodes[i][axis] + nodes[i + step][axis])
                 source += sign * weight * flow * grid.dx
             else:
                 other = k
-            arrays.neighbors[k][f] = other
-            arrays.weights[k][f] = weight
+            system.neighbors[k][f] = other
+            system.weights[k][f] = weight
             total += weight
-        arrays.rhs[k] = source
-        arrays.diagonal[k] = total
-        arrays.x[k] = arrays.potential[i]
+        system.r[k] = source
+        system.diagonal[k] = total
+        vectors.x[k] = vectors.potential[i]
 
 
 @ti.func
-def applied(vector: ti.template(), arrays: ti.template(), k: int):
+def applied(vector: ti.template(), system: ti.template(), k: int):
     """Row k of the matrix times a vector."""
-    total = arrays.diagonal[k] * vector[k]
+    total = system.diagonal[k] * vector[k]
     for f in ti.static(range(6)):
-        total -= arrays.weights[k][f] * vector[arrays.neighbors[k][f]]
+        total -= system.weights[k][f] * vector[system.neighbors[k][f]]
     return total
 
 
 @ti.func
-def chunk_sum(arrays: ti.template(), chunks: int, column: ti.template()):
+def chunk_sum(vectors: ti.template(), chunks: int, column: ti.template()):
     """Sum a column of the chunks' partial results in their order."""
     total = 0.0
     for c in range(chunks):
-        total += arrays.partial[c][column]
+        total += vectors.partial[c][column]
     return total
 
 
 @ti.kernel
-def begin(arrays: Arrays, count: int, chunks: int, size: int, stride: int):
-    """Residual and first direction; partial holds (p.q, r.z, r.z before, max |rhs|)."""
+def begin(system: System, vectors: Vectors, count: int, chunks: int, size: int, stride: int):
+    """First residual; partial holds (p.q, r.z, r.z before, largest |r|, at first of the rhs)."""
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk = task // stride
-            rz, largest = 0.0, 0.0
+            largest = 0.0
             for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                residual = arrays.rhs[k] - applied(arrays.x, arrays, k)
-                arrays.r[k] = residual
-                arrays.p[k] = residual / arrays.diagonal[k]
-                rz += residual**2 / arrays.diagonal[k]
-                largest = ti.max(largest, ti.abs(arrays.rhs[k]))
-            arrays.partial[chunk] = ti.Vector([0.0, rz, rz, largest])
+                largest = ti.max(largest, ti.abs(system.r[k]))
+                vectors.q[k] = applied(vectors.x, system, k)
+            vectors.partial[chunk] = ti.Vector([0.0, 0.0, 0.0, largest])
+    for k in range(count):
+        system.r[k] -= vectors.q[k]
+        vectors.p[k] = 0.0
 
 
 @ti.kernel
-def iterate(arrays: Arrays, count: int, chunks: int, size: int, stride: int):
-    """Some iterations of conjugate gradients, preconditioned by the diagonal."""
-    for _ in ti.static(range(BATCH)):
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                pq = 0.0
-                for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                    image = applied(arrays.p, arrays, k)
-                    arrays.q[k] = image
-                    pq += arrays.p[k] * image
-                arrays.partial[chunk][0] = pq
-                arrays.partial[chunk][2] = arrays.partial[chunk][1]
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                alpha = chunk_sum(arrays, chunks, 2) / ti.max(chunk_sum(arrays, chunks, 0), 1e-30)
-                rz, largest = 0.0, 0.0
-                for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                    arrays.x[k] += alpha * arrays.p[k]
-                    residual = arrays.r[k] - alpha * arrays.q[k]
-                    arrays.r[k] = residual
-                    rz += residual**2 / arrays.diagonal[k]
-                    largest = ti.max(largest, ti.abs(residual))
-                arrays.partial[chunk][1] = rz
-                arrays.partial[chunk][3] = largest
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                beta = chunk_sum(arrays, chunks, 1) / ti.max(chunk_sum(arrays, chunks, 2), 1e-30)
-                for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                    arrays.p[k] = arrays.r[k] / arrays.diagonal[k] + beta * arrays.p[k]
+def descend(
+    system: System, vectors: Vectors, first: bool, count: int, chunks: int, size: int, stride: int
+):
+    """One iteration of conjugate gradients, after z is found from r."""
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk = task // stride
+            rz = 0.0
+            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                rz += system.r[k] * system.z[k]
+            vectors.partial[chunk][2] = vectors.partial[chunk][1]
+            vectors.partial[chunk][1] = rz
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk = task // stride
+            beta = chunk_sum(vectors, chunks, 1) / ti.max(chunk_sum(vectors, chunks, 2), 1e-30)
+            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                vectors.p[k] = system.z[k] + (0.0 if first else beta * vectors.p[k])
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk = task // stride
+            pq = 0.0
+            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                vectors.q[k] = applied(vectors.p, system, k)
+                pq += vectors.p[k] * vectors.q[k]
+            vectors.partial[chunk][0] = pq
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk = task // stride
+            alpha = chunk_sum(vectors, chunks, 1) / ti.max(chunk_sum(vectors, chunks, 0), 1e-30)
+            largest = 0.0
+            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                vectors.x[k] += alpha * vectors.p[k]
+                system.r[k] -= alpha * vectors.q[k]
+                largest = ti.max(largest, ti.abs(system.r[k]))
+            vectors.partial[chunk][3] = largest
 
 
 @ti.kernel
-def finish(nodes: ti.types.ndarray(), arrays: Arrays, count: int, grid: ti.template()):
+def finish(
+    nodes: ti.types.ndarray(), system: System, vectors: Vectors, count: int, grid: ti.template()
+):
     """Add grad psi to the velocities: the mean over the faces, by how far they are filled."""
     for k in range(count):
-        i = arrays.node[k]
-        arrays.potential[i] = arrays.x[k]
+        i = system.node[k]
+        vectors.potential[i] = vectors.x[k]
         for axis in ti.static(range(3)):
-            ahead, behind = arrays.weights[k][2 * axis], arrays.weights[k][2 * axis + 1]
-            rise = ahead * (arrays.x[arrays.neighbors[k][2 * axis]] - arrays.x[k])
-            rise += behind * (arrays.x[k] - arrays.x[arrays.neighbors[k][2 * axis + 1]])
+            ahead, behind = system.weights[k][2 * axis], system.weights[k][2 * axis + 1]
+            rise = ahead * (vectors.x[system.neighbors[k][2 * axis]] - vectors.x[k])
+            rise += behind * (vectors.x[k] - vectors.x[system.neighbors[k][2 * axis + 1]])
             nodes[i][axis] += rise / (grid.dx * ti.max(ahead + behind, 1e-12))
 
 

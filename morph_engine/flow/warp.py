@@ -8,13 +8,15 @@ and the positions are those that fit the turned edges best (Alexa et al. 2000, S
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from morph_engine.flow.correspondence import Controls, Correspondence
+from morph_engine.flow.correspondence import Controls, Correspondence, images_of
 
 Points = NDArray[np.float64]
 
@@ -27,6 +29,27 @@ FOLLOWED = 8
 ROUNDS = 8
 ADHERENCE = 0.1
 """Weight of the images against that of rigid edges."""
+
+LANDMARK_ADHERENCE = 1e3
+"""That of landmarks."""
+
+LEAST_DISTANCE = 0.05
+"""From a landmark, below which points follow it equally [distances between controls]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Controls that points follow.
+
+    Attributes:
+        near: Their indices, shape [n, FOLLOWED].
+        weight: How much each is followed, of sum 1, shape [n, FOLLOWED].
+        offset: From each of them to the point [dx], shape [n, FOLLOWED, 3].
+    """
+
+    near: NDArray[np.intp]
+    weight: Points
+    offset: Points
 
 
 class Warp:
@@ -41,7 +64,11 @@ class Warp:
         self.start: Points = source.points
         self.end: Points
         self._edges = _edges(source)
-        self._laplacian = self._assemble(0.0)
+        self._landmark_count = source.landmark_count
+        self._laplacian = self._assemble()
+        self._grounded = scipy.linalg.cho_factor(self._laplacian + 1 / len(source.points))
+        self._adherence = np.full(len(source.points), ADHERENCE)
+        self._adherence[: self._landmark_count] = LANDMARK_ADHERENCE
         self.end, rotations = self._fit(correspondence.images)
         for _ in range(ROUNDS):
             self.end, rotations = self._fit(_spread(self.end, source, target))
@@ -61,37 +88,45 @@ class Warp:
         whole = Rotation.from_rotvec(share * self._whole.as_rotvec())
         return whole * Rotation.from_rotvec(share * self._rest.as_rotvec())
 
+    def follow(self, points: Points) -> Followed:
+        """Which controls points of the source follow, shape [n, 3]."""
+        near, weight = self._followed(points, self.start)
+        return Followed(near, weight, points[:, None] - self.start[near])
+
     def ends(self, points: Points, share: float) -> tuple[Points, Points]:
         """Where points at a share of the way come from and where they belong, each shape [n, 3]."""
         now, turned = self.at(share)
         near, weight = self._followed(points, now)
-        offset = points[:, None] - now[near]
+        followed = Followed(near, weight, points[:, None] - now[near])
         inverse = turned.inv()
         return (
-            _carried(offset, near, weight, self.start, inverse),
-            _carried(offset, near, weight, self.end, self.rotations(1.0) * inverse),
+            _carried(followed, self.start, inverse),
+            _carried(followed, self.end, self.rotations(1.0) * inverse),
         )
 
-    def forward(self, points: Points, share: float) -> Points:
-        """Where points of the source are after a share of the way, shape [n, 3]."""
-        now, turned = self.at(share)
-        near, weight = self._followed(points, self.start)
-        return _carried(points[:, None] - self.start[near], near, weight, now, turned)
+    def forward(self, followed: Followed, share: float) -> Points:
+        """Where points of the source are after a share of the way [dx], shape [n, 3]."""
+        return _carried(followed, *self.at(share))
 
     def _followed(self, points: Points, controls: Points) -> tuple[NDArray[np.intp], Points]:
-        """The controls that each point follows, and how much, both shape [n, FOLLOWED]."""
+        """The controls that each point follows, and how much, both shape [n, FOLLOWED].
+
+        Close to a landmark points follow it alone, so that it is met.
+        """
         distance, near = cKDTree(controls).query(points, FOLLOWED)
         reach = np.maximum(distance[:, -1:], 1.5 * self._spacing)
         weight = (1 - (distance / (1.001 * reach)) ** 2) ** 2
+        close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
+        weight = np.where(near < self._landmark_count, close * weight, weight)
         return near, weight / weight.sum(axis=1, keepdims=True)
 
-    def _assemble(self, adherence: float) -> NDArray[np.float64]:
+    def _assemble(self) -> NDArray[np.float64]:
         i, j, weight = self._edges
         n = len(self.start)
         laplacian = np.zeros((n, n))
         np.add.at(laplacian, (i, j), -weight)
         np.add.at(laplacian, (i, i), weight)
-        return laplacian + adherence * np.eye(n)
+        return laplacian
 
     def _divergence(self, matrices: Points) -> Points:
         """Right-hand side of the positions that fit the turned edges."""
@@ -105,11 +140,11 @@ class Warp:
 
     def _fit(self, images: Points) -> tuple[Points, Rotation]:
         """Positions near the images that keep edges rigid, and the rotations about them."""
-        factor = scipy.linalg.cho_factor(self._assemble(ADHERENCE))
+        factor = scipy.linalg.cho_factor(self._laplacian + np.diag(self._adherence))
         positions = images
         for _ in range(ROUNDS):
             rotations = self._turned(positions)
-            right = self._divergence(rotations.as_matrix()) + ADHERENCE * images
+            right = self._divergence(rotations.as_matrix()) + self._adherence[:, None] * images
             positions = scipy.linalg.cho_solve(factor, right)
         return positions, self._turned(positions)
 
@@ -125,20 +160,18 @@ class Warp:
 
     def _place(self, share: float, remainder: Points) -> Points:
         right = self._divergence(self.rotations(share).as_matrix())
-        grounded = self._laplacian + np.ones_like(self._laplacian) / len(self.start)
-        free = scipy.linalg.solve(grounded, right, assume_a="pos")
+        free = scipy.linalg.cho_solve(self._grounded, right)
         middle = (1 - share) * self.start.mean(axis=0) + share * self.end.mean(axis=0)
         placed: Points = free - free.mean(axis=0) + middle + remainder
         return placed
 
 
-def _carried(
-    offset: Points, near: NDArray[np.intp], weight: Points, controls: Points, turned: Rotation
-) -> Points:
-    """Points at offsets from the controls that they follow, which have moved and turned."""
-    matrices = turned.as_matrix().astype(np.float32)[near]
-    moved = np.einsum("nkij,nkj->nki", matrices, offset.astype(np.float32)) + controls[near]
-    carried: Points = np.einsum("nk,nki->ni", weight, moved)
+def _carried(followed: Followed, controls: Points, turned: Rotation) -> Points:
+    """Points that follow controls which have moved and turned."""
+    near, offset = followed.near, followed.offset
+    matrices = turned.as_matrix()[near]
+    moved = np.matmul(matrices, offset[..., None])[..., 0] + controls[near]
+    carried: Points = np.einsum("nk,nki->ni", followed.weight, moved)
     return carried
 
 
@@ -158,5 +191,4 @@ def _spread(positions: Points, source: Controls, target: Controls) -> Points:
 
     cost = scipy.spatial.distance.cdist(positions, target.points, "sqeuclidean")
     plan = ot.emd(source.weights, target.weights, cost)
-    images: Points = (plan / plan.sum(axis=1, keepdims=True)) @ target.points
-    return images
+    return images_of(plan, target)

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import flow, geometry, mpm
-from morph_engine.errors import SimulationError
+from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
 from morph_engine.methods.options import CostRates
@@ -25,7 +26,11 @@ from morph_engine.sections import (
     NonNegative,
     Positive,
     RestartingWatchdogConfig,
+    Section,
+    Vector,
 )
+
+threadpoolctl: Any = lazy.load("threadpoolctl")
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
@@ -42,6 +47,9 @@ STEPS = 4
 LARGEST_DISTORTION = 0.15
 """Geodesic distortion below which two shapes are taken to have like parts."""
 
+LANDMARK_REACH = 1.0
+"""Landmarks lie at most so far from the matter of their shape [dx]."""
+
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
@@ -50,6 +58,13 @@ SETTLING_BEGINS = 0.985
 
 BAND = 1.5
 """Distances to a surface are exact so far from it [cells]."""
+
+
+class Landmark(Section):
+    """A point of the source and where it belongs, in the coordinates of the two shapes."""
+
+    source: Vector
+    target: Vector
 
 
 class FlowOptions(MpmOptions):
@@ -70,6 +85,9 @@ class FlowOptions(MpmOptions):
         "auto",
         description="Carry parts of the source to like parts of the target; auto: where the "
         "geodesic distances of the best matching agree.",
+    )
+    landmarks: tuple[Landmark, ...] = Field(
+        (), max_length=64, description="Points of the source that end at points of the target."
     )
     gain: Fraction = Field(
         0.3, description="Share of an error of density that a quarter of a frame mends."
@@ -120,6 +138,9 @@ class Flow(MpmMethod[FlowOptions]):
         self._correspondence = self._match()
         found = self._correspondence
         self._warp = flow.Warp(found) if found and self._carries(found) else None
+        source = problem.source.astype(np.float64)
+        self._followed = self._warp.follow(source) if self._warp else None
+        self._carried_share = -1.0
         self._path = flow.BodyPath(
             self._distance(problem.source_mesh, problem.source, axis),
             self._distance(problem.target_mesh, problem.target, axis),
@@ -206,17 +227,26 @@ class Flow(MpmMethod[FlowOptions]):
         return geometry.mesh_distance(mesh, axis, BAND * self._grid.dx)
 
     def _match(self) -> flow.Correspondence | None:
-        if self.options.like_parts == "off":
+        options, problem = self.options, self.problem
+        if options.like_parts == "off" and not options.landmarks:
             return None
-        source, target = (
-            flow.sample_controls(points.astype(np.float64), self.problem.config.spacing)
-            for points in (self.problem.source, self.problem.target)
+        ends = (
+            (problem.source, problem.source_to_grid, [pair.source for pair in options.landmarks]),
+            (problem.target, problem.target_to_grid, [pair.target for pair in options.landmarks]),
         )
-        return flow.match(source, target)
+        source, target = (
+            flow.sample_controls(points.astype(np.float64), problem.config.spacing, marked)
+            for points, marked in (
+                (points, _placed(marks, to_grid, points)) for points, to_grid, marks in ends
+            )
+        )
+        with threadpoolctl.threadpool_limits(1, "blas"):  # matrices are small: threads only wait
+            return flow.match(source, target)
 
     def _carries(self, found: flow.Correspondence) -> bool:
         """Whether parts are carried to like parts."""
-        return self.options.like_parts == "on" or found.distortion < LARGEST_DISTORTION
+        wanted = self.options.like_parts == "on" or self.options.landmarks
+        return bool(wanted) or found.distortion < LARGEST_DISTORTION
 
     def _decisions(self) -> list[Event]:
         """What was decided before the first frame."""
@@ -232,11 +262,16 @@ class Flow(MpmMethod[FlowOptions]):
 
     def _guide(self, share: float, next_share: float) -> NDArray[Any]:
         """Velocity that the warp asks of each particle during a frame [dx/s], shape [n, 3]."""
-        assert self._warp is not None
-        source = self.problem.source.astype(np.float64)
-        here, there = (self._warp.forward(source, s) for s in (share, next_share))
+        here = self._carried if share == self._carried_share else self._carry(share)
+        there = self._carry(next_share)
         step = there - here + RETURN * (1 - share) * (here - self._particles.x)
         return (step / self._frame_seconds).astype(self.device.numpy_real)
+
+    def _carry(self, share: float) -> NDArray[np.float64]:
+        """Where the warp wants the particles at a share of the way [dx], shape [n, 3]."""
+        assert self._warp and self._followed
+        self._carried, self._carried_share = self._warp.forward(self._followed, share), share
+        return self._carried
 
     def _load_bodies(self, frame: int, share: float, next_share: float) -> None:
         """Bring the body before and after the frame to the device."""
@@ -318,3 +353,27 @@ class Flow(MpmMethod[FlowOptions]):
     def _mean_move(self) -> float:
         """What particles were moved in this frame beside the flow, on average [dx]."""
         return float(self._moved.to_numpy().mean(dtype=np.float64))
+
+
+def _placed(
+    marks: list[Vector], to_grid: NDArray[np.float64], points: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """Landmarks in grid units, shape [k, 3].
+
+    Raises:
+        ConfigError: One is not at the shape.
+    """
+    placed = np.array(marks, np.float64).reshape(-1, 3) @ to_grid[:3, :3].T + to_grid[:3, 3]
+    lower, upper = (points.min(axis=0), points.max(axis=0))
+    for mark, place in zip(marks, placed, strict=True):
+        distance = float(np.linalg.norm(points - place, axis=1).min())
+        if distance > LANDMARK_REACH:
+            to_user = np.linalg.inv(to_grid)
+            corners = np.array([lower, upper]) @ to_user[:3, :3].T + to_user[:3, 3]
+            lowest, highest = (", ".join(f"{x:.4g}" for x in corner) for corner in corners)
+            raise ConfigError(
+                f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
+                f"outside the shape, which reaches from ({lowest}) to ({highest}).",
+                "Give it in the coordinates of the mesh, on its surface or inside.",
+            )
+    return placed

@@ -30,6 +30,8 @@ class Problem:
         config: The configuration.
         source_mesh: The mesh that the source fills [dx]; None for a point cloud.
         target_mesh: The mesh that the target fills [dx]; None for a point cloud.
+        source_to_grid: Maps coordinates of the source as it was given to grid units, shape [4, 4].
+        target_to_grid: Likewise for the target.
     """
 
     source: NDArray[np.float32]
@@ -37,6 +39,8 @@ class Problem:
     config: MethodConfig
     source_mesh: Mesh | None = None
     target_mesh: Mesh | None = None
+    source_to_grid: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    target_to_grid: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from morph_engine import backend, morph
+from morph_engine.errors import ConfigError
 from morph_engine.flow import (
     BodyPath,
     LayerArrays,
@@ -184,9 +185,9 @@ def test_a_turned_body_is_found_and_turns_rigidly(turned) -> None:
     """Every point ends near its own place, and distances hold on the way."""
     source, turn, warp, distortion = turned
     assert distortion < 0.2
-    end = warp.forward(source, 1.0)
+    end = warp.forward(warp.follow(source), 1.0)
     assert np.sqrt(np.mean(np.sum((end - turn.apply(source)) ** 2, axis=1))) < 0.5
-    half = warp.forward(source, 0.5)
+    half = warp.forward(warp.follow(source), 0.5)
     pairs = cKDTree(source).query_pairs(3.0, output_type="ndarray")[::50]
     before, after = (
         np.linalg.norm(p[pairs[:, 0]] - p[pairs[:, 1]], axis=1) for p in (source, half)
@@ -197,9 +198,47 @@ def test_a_turned_body_is_found_and_turns_rigidly(turned) -> None:
 def test_a_warp_knows_where_points_come_from_and_go(turned) -> None:
     """`ends` undoes and completes `forward`."""
     source, _, warp, _ = turned
-    begin, end = warp.ends(warp.forward(source, 0.4), 0.4)
+    begin, end = warp.ends(warp.forward(warp.follow(source), 0.4), 0.4)
     assert np.abs(begin - source).mean() < 0.05
-    assert np.abs(end - warp.forward(source, 1.0)).mean() < 0.1
+    assert np.abs(end - warp.forward(warp.follow(source), 1.0)).mean() < 0.1
+
+
+def test_a_warp_meets_landmarks_and_takes_what_is_around_them_along() -> None:
+    """The long limb of a body goes to the short one of its twin, against all likeness."""
+    body = limbed(0.5)
+    tips = np.array([[5.5, 0.0, 0.0], [0.0, 3.5, 0.0]])
+    found = match(sample_controls(body, 0.5, tips), sample_controls(body, 0.5, tips[::-1]))
+    warp = Warp(found)
+    assert warp.forward(warp.follow(tips), 1.0) == pytest.approx(tips[::-1], abs=0.1)
+    long_limb = body[body[:, 0] > 2.5]
+    ended = warp.forward(warp.follow(long_limb), 1.0)
+    assert np.mean(ended[:, 1] > ended[:, 0]) > 0.9
+
+
+def test_a_landmark_is_met_at_the_end() -> None:
+    """Matter at it ends where it belongs, which is not where it goes by itself."""
+    settings = SMALL | {"frames": 10}
+    run = prepare_run("sphere", "heart", configure(overrides=settings))
+    marked = int(run.source_points[:, 1].argmax())
+    place = run.target_points[run.target_points[:, 0].argmax()]
+    pair = {"source": run.source_points[marked].tolist(), "target": place.tolist()}
+
+    def miss(landmarks: list[dict[str, list[float]]]) -> float:
+        config = configure(overrides=settings | {"landmarks": landmarks})
+        last = list(morph("sphere", "heart", config))[-1].positions
+        return float(np.linalg.norm(last[marked] - place))
+
+    assert miss([]) > 3
+    assert miss([pair]) < 1
+
+
+def test_a_landmark_off_the_shape_is_refused() -> None:
+    """The message says how far off, and where the shape is."""
+    pair = {"source": (0.0, 20.0, 0.0), "target": (0.0, 0.0, 0.0)}
+    config = configure(overrides=SMALL | {"landmarks": [pair]})
+    with pytest.raises(ConfigError, match=r"landmark 0, 20, 0 lies .* outside the shape") as caught:
+        next(iter(morph("sphere", "heart", config)))
+    assert "coordinates of the mesh" in caught.value.remedy
 
 
 def test_matter_fills_the_target_and_stays_one_body() -> None:

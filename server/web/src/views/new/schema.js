@@ -32,6 +32,7 @@ function leaves(properties, schema, group, groupMeaning = "", prefix = "") {
   return Object.entries(properties).flatMap(([name, property]) => {
     const section = resolve(property, schema);
     const path = prefix + name;
+    if (resolve(section.items ?? {}, schema).type === "object") return []; // no field holds these
     if (section.type !== "object") return [setting(path, group, groupMeaning, section)];
     const meaning = plain(section.description).replace(/\s*\([^)]*\)/g, "");
     return leaves(section.properties, schema, words(name), meaning, `${path}.`);
