@@ -6,21 +6,26 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from morph_engine.config import MorphConfig, override, validated
-from morph_engine.errors import unknown_name
+from morph_engine.errors import ConfigError, unknown_name
 from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 
 DEFAULT = "fast"
 
 
 class Preset(NamedTuple):
-    """A version, which changes with any number, a sentence, and the method if none is asked for.
+    """A preset; values of a method's options are with the method.
 
-    Values of a method's options are with the method.
+    Attributes:
+        version: Changes with any number.
+        summary: One sentence.
+        method: The method if none is asked for.
+        only: Whether it means nothing to other methods.
     """
 
     version: int
     summary: str
     method: str
+    only: bool = False
 
 
 _PRESETS = {
@@ -29,12 +34,21 @@ _PRESETS = {
     ),
     "published": Preset(1, "The authors' program, number for number.", "joint"),
     "paper": Preset(1, "The text of the paper, taken literally.", "joint"),
+    "stiff": Preset(1, "Flow of matter that long resists shear.", "flow", only=True),
+    "soft": Preset(1, "Flow of soft matter with some inertia.", "flow", only=True),
+    "viscous": Preset(1, "Flow of matter that creeps, and melts a little.", "flow", only=True),
+    "fluid": Preset(1, "Flow of a drop: no resistance, much surface tension.", "flow", only=True),
 }
 
 
 def names() -> tuple[str, ...]:
     """Names of the presets, the default first."""
     return tuple(_PRESETS)
+
+
+def general_names() -> tuple[str, ...]:
+    """Names of the presets that every method has."""
+    return tuple(name for name, preset in _PRESETS.items() if not preset.only)
 
 
 def describe(name: str) -> str:
@@ -51,11 +65,17 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
             preset the others replace.
 
     Raises:
-        ConfigError: Unknown preset, method or setting, or a value out of range.
+        ConfigError: Unknown preset, method or setting, a preset of another method, or a value out
+            of range.
     """
     found = _find(preset)
     settings = dict(overrides or {})
     method = str(settings.pop("method", found.method))
+    if found.only and method != found.method:
+        raise ConfigError(
+            f"The preset {preset!r} belongs to the method {found.method!r}.",
+            f"Leave the method out, or choose one of {', '.join(general_names())}.",
+        )
     options = {"name": method, **options_of(method).presets.get(preset, {})}
     config = validated({"preset": f"{preset}-{found.version}", "method": options})
     return override(config, settings)

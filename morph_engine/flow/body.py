@@ -10,6 +10,8 @@ g(d) = L log(1 + d / L) for d > 0: a limb grows at an even pace then, instead of
 Where a warp w carries the source's parts to where they belong, both distances go along with it::
 
     phi_s(x) = (1 - s) g(phi_0(w_s^-1 x)) + s g(phi_1(w_1 w_s^-1 x))
+
+Surface tension rounds the body on its way: phi_s is smoothed by a Gaussian of width 4 s (1 - s) T.
 """
 
 from __future__ import annotations
@@ -56,6 +58,7 @@ class BodyPath:
         grid: The grid whose nodes the matter is counted at.
         reach: L, beyond which distances outside are compressed [dx].
         matter: All mass, over what a node deep inside holds at the source's density.
+        tension: T, width of the smoothing half-way [dx].
         warp: What carries the distances, if anything does.
     """
 
@@ -67,12 +70,14 @@ class BodyPath:
         *,
         reach: float,
         matter: float,
+        tension: float = 0.0,
         warp: Warp | None = None,
     ) -> None:
         self._ends = [_compressed(distance, reach) for distance in (source, target)]
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
         self._grid = grid
         self._matter = matter
+        self._tension = tension
         self._carrier = Carrier(warp, self._ends, grid) if warp else None
 
     @property
@@ -88,11 +93,22 @@ class BodyPath:
         else:
             first, last = self._ends
             level = (1 - np.float32(share)) * first + np.float32(share) * last
+        level = self._rounded(level, 4 * share * (1 - share) * self._tension)
         count = round((1 - share) * self._inside[0] + share * self._inside[1])
         level -= _quantile(level, count)
         if 0 < share < 1:
             level = self._without_threads(level)
         return Body(level, self._mass(*self._smoothed(level)))
+
+    def _rounded(self, level: Field, width: float) -> Field:
+        """Smooth the level by a Gaussian of some width [dx], where the surface can be."""
+        if not width:
+            return level
+        step = self._grid.dx / REFINEMENT
+        level = np.minimum(level, np.float32(FARTHEST))
+        box = _bounding_box(level < FARTHEST)
+        level[box] = scipy.ndimage.gaussian_filter(level[box], width / step, mode="nearest")
+        return level
 
     def _without_threads(self, level: Field) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
@@ -128,6 +144,9 @@ class BodyPath:
 
 THREAD = 0.3
 """Smoothed indicator below which the body is a thread thinner than some 0.6 grid cells."""
+
+FARTHEST = 6.0
+"""Levels beyond this do not tell where a smooth body ends [dx]."""
 
 NEAR = 2.0
 """Where the surface of the body is looked for first: levels of this size [dx]."""

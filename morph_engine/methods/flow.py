@@ -53,6 +53,9 @@ LANDMARK_REACH = 1.0
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
+TENSION = 0.5
+"""Surface tension where none is asked for and parts are not carried to like parts [dx]."""
+
 SETTLING_BEGINS = 0.985
 """Share of the way from which particles spread more evenly."""
 
@@ -73,7 +76,12 @@ class FlowOptions(MpmOptions):
     The body, the flow and what moves matter beside it: docs/flow.md.
     """
 
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "stiff": {"memory": 10.0, "tension": 0.0},
+        "soft": {"material": {"youngs_modulus": 15000.0}, "tension": 0.5, "momentum": 0.5},
+        "viscous": {"memory": 0.2, "tension": 1.0},
+        "fluid": {"material": {"youngs_modulus": 1.0}, "memory": 0.0, "tension": 2.0},
+    }
     cost: ClassVar[CostRates] = CostRates(16e-6, 2e-6, 2.6, 0.2, 0.05)
 
     name: Literal["flow"] = "flow"
@@ -94,6 +102,11 @@ class FlowOptions(MpmOptions):
     )
     reach: Positive = Field(
         4.0, description="Distances outside are compressed beyond this, so that limbs grow [dx]."
+    )
+    tension: NonNegative | None = Field(
+        None,
+        description="Surface tension: the body is rounded by this half-way [dx]; none: 0.5, and 0 "
+        "where parts are carried to like parts.",
     )
     depth: float = Field(0.35, description="Particles stay this far inside the surface [h].")
     momentum: Fraction = Field(0.0, description="Share of velocity that is left after a frame.")
@@ -147,6 +160,7 @@ class Flow(MpmMethod[FlowOptions]):
             self._grid,
             reach=options.reach,
             matter=len(problem.source) * self._mass / full,
+            tension=self._tension,
             warp=self._warp,
         )
         self._guidance = device.vectors(len(problem.source))
@@ -247,6 +261,13 @@ class Flow(MpmMethod[FlowOptions]):
         """Whether parts are carried to like parts."""
         wanted = self.options.like_parts == "on" or self.options.landmarks
         return bool(wanted) or found.distortion < LARGEST_DISTORTION
+
+    @property
+    def _tension(self) -> float:
+        """How far the body is rounded half-way [dx]: shapes with like parts keep theirs."""
+        if self.options.tension is None:
+            return 0.0 if self._warp else TENSION
+        return self.options.tension
 
     def _decisions(self) -> list[Event]:
         """What was decided before the first frame."""
