@@ -12,7 +12,7 @@ export PATH := $(abspath $(BIN)):$(PATH)
 CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page test test-browser test-faults test-distribution lint format bench pictures lock clean
+.PHONY: help install demo page test test-browser test-faults test-distribution lint format bench gallery pictures lock clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 21
@@ -75,6 +75,9 @@ lock:  ## resolve the versions again (needs uv)
 	  --no-header --upgrade --extra dev -o requirements.lock pyproject.toml
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra bench -c requirements.lock -o requirements-bench.lock pyproject.toml
+
+gallery: install  ## twelve morphs in GALLERY (the folder gallery): results, a sheet, videos
+	$(BIN)/python -m docs.pictures gallery --to "$(or $(GALLERY),gallery)"
 
 pictures: install page  ## make the pictures of the documentation again; needs MORPH_MESHES
 	$(BIN)/python -m docs.pictures --meshes "$(MORPH_MESHES)"

@@ -387,7 +387,7 @@ class Operations:
         sources: Iterable[ShapeLike],
         targets: Iterable[ShapeLike],
         *,
-        methods: Iterable[str] = ("transport",),
+        methods: Iterable[str] = ("flow",),
         seeds: Iterable[int] = (42,),
         preset: str = "fast",
         overrides: Mapping[str, Any] | None = None,

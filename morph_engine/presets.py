@@ -30,7 +30,7 @@ class Preset(NamedTuple):
 
 _PRESETS = {
     "fast": Preset(
-        3, "The default: an even fill by transport; joint in a third of its time.", DEFAULT_METHOD
+        4, "The default: one body that flows; joint in a third of its time.", DEFAULT_METHOD
     ),
     "published": Preset(1, "The authors' program, number for number.", "joint"),
     "paper": Preset(1, "The text of the paper, taken literally.", "joint"),

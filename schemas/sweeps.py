@@ -16,7 +16,7 @@ class SweepRequest(JobOptions):
 
     sources: list[Shape] = Field(min_length=1, max_length=100)
     targets: list[Shape] = Field(min_length=1, max_length=100)
-    methods: list[str] = Field(default=["transport"], min_length=1, max_length=20)
+    methods: list[str] = Field(default=["flow"], min_length=1, max_length=20)
     seeds: list[Seed] = Field(default=[42], min_length=1, max_length=100)
 
 

@@ -33,7 +33,7 @@ def sweep(
         str, typer.Option(metavar="A,B", help="Mesh files or built-in shapes.")
     ] = "",
     targets: Annotated[str, typer.Option(metavar="C,D", help="What they are to become.")] = "",
-    methods: Annotated[str, typer.Option(metavar="M,N", help="See morph methods.")] = "transport",
+    methods: Annotated[str, typer.Option(metavar="M,N", help="See morph methods.")] = "flow",
     seeds: Annotated[str, typer.Option(metavar="1,2", help="Seeds of random choices.")] = "42",
     config: ConfigOptions,
     submission: SubmissionOptions,

@@ -2,6 +2,7 @@
 
     python -m docs.pictures --meshes DIR            # all of them, about four minutes
     python -m docs.pictures page                    # those of the web page alone
+    python -m docs.pictures gallery --to DIR        # twelve morphs, a sheet and their videos
 
 `page` needs chromium and the built page (make page); `morphs` needs the paper's meshes.
 """
@@ -12,6 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from docs.pictures.gallery import gallery
 from docs.pictures.morphs import morph_pictures
 from docs.pictures.page import page_pictures
 from docs.pictures.theory import theory_pictures
@@ -27,12 +29,14 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("groups", nargs="*", help=f"of {', '.join(GROUPS)}; all if none is named")
+    parser.add_argument(
+        "groups", nargs="*", help=f"of {', '.join(GROUPS)}; all if none is named; or gallery"
+    )
     parser.add_argument("--meshes", type=Path, help="folder with sphere.obj and bunny.obj")
     parser.add_argument("--to", type=Path, default=IMAGES, help="folder of the pictures")
     arguments = parser.parse_args()
     wanted = arguments.groups or GROUPS
-    if unknown := set(wanted) - set(GROUPS):
+    if unknown := set(wanted) - {*GROUPS, "gallery"}:
         parser.error(f"There are no pictures called {', '.join(sorted(unknown))}.")
     if "morphs" in wanted and arguments.meshes is None:
         parser.error("The pictures of morphs need --meshes, a folder with the paper's meshes.")
@@ -41,6 +45,8 @@ def main() -> None:
         theory_pictures(arguments.to)
     if "morphs" in wanted:
         morph_pictures(arguments.to, arguments.meshes)
+    if "gallery" in wanted:
+        gallery(arguments.to)
     if "page" in wanted:
         page_pictures(arguments.to / "page")
 

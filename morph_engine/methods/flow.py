@@ -53,7 +53,7 @@ LANDMARK_REACH = 1.0
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
-TENSION = 0.5
+TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried to like parts [dx]."""
 
 SETTLING_BEGINS = 0.985
@@ -73,7 +73,7 @@ class Landmark(Section):
 class FlowOptions(MpmOptions):
     """Matter flows inside a body that changes from source to target, driven by pressure.
 
-    The body, the flow and what moves matter beside it: docs/flow.md.
+    The body, the flow and what moves matter beside it: docs/method.md.
     """
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -105,7 +105,7 @@ class FlowOptions(MpmOptions):
     )
     tension: NonNegative | None = Field(
         None,
-        description="Surface tension: the body is rounded by this half-way [dx]; none: 0.5, and 0 "
+        description="Surface tension: the body is rounded by this half-way [dx]; none: 1, and 0 "
         "where parts are carried to like parts.",
     )
     depth: float = Field(0.35, description="Particles stay this far inside the surface [h].")

@@ -19,7 +19,7 @@ from morph_engine.methods.options import MethodOptions, declared
 
 ENTRY_POINTS = "morph.methods"
 
-DEFAULT_METHOD = "transport"
+DEFAULT_METHOD = "flow"
 
 
 def names() -> tuple[str, ...]:

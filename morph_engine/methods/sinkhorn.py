@@ -1,4 +1,4 @@
-"""Sinkhorn divergence without physics (docs/method.md)."""
+"""Sinkhorn divergence without physics (docs/transport.md)."""
 
 from __future__ import annotations
 

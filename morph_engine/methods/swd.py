@@ -1,4 +1,4 @@
-"""Sliced Wasserstein distance without physics (docs/method.md)."""
+"""Sliced Wasserstein distance without physics (docs/transport.md)."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ STEEPEST = 1.5
 class TransportOptions(MpmOptions):
     """Matter steers to destinations that fill the target evenly, handed out by optimal transport.
 
-    Destinations of the particles and the way there: docs/method.md.
+    Destinations of the particles and the way there: docs/transport.md.
     """
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {

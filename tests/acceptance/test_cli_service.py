@@ -146,7 +146,7 @@ def test_a_mesh_is_submitted_watched_shown_and_fetched(morph, service, tmp_path)
     assert again.returncode == 0 and "two_sided" in again.stdout
     shown = morph("show", job["id"])
     assert "box.obj to star" in shown.stdout and "succeeded" in shown.stdout
-    listed = morph("jobs", "--state", "succeeded", "--method", "transport")
+    listed = morph("jobs", "--state", "succeeded", "--method", "flow")
     assert job["id"] in listed.stdout and "2/2" in listed.stdout
 
     assert morph("fetch", job["id"]).returncode == 0

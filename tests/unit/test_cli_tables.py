@@ -25,7 +25,7 @@ def test_every_setting_is_listed_with_its_meaning(capsys):
     """`morph presets fast` leaves out no field, and brackets in a meaning survive."""
     print_settings(configure())
     listed = capsys.readouterr().out
-    for path, field in setting_fields("transport").items():
+    for path, field in setting_fields("flow").items():
         assert path in listed
         assert (field.description or "") in listed
 

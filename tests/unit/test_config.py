@@ -49,7 +49,7 @@ def test_overrides_reach_their_field() -> None:
         ({"grid.half_extent": 150}, "4 to 250"),
         ({"method": "joint", "smoothing.values": "0.9,0.9"}, "one entry per value"),
         ({"chamfer.weight": 3}, "It belongs to joint"),
-        ({"method": "dco", "material.drag": 1}, "belongs to transport, flow, joint, physics"),
+        ({"method": "dco", "material.drag": 1}, "belongs to flow, joint, physics, transport"),
         ({"method": "joint", "transport.sweeps": 1}, "belongs to transport"),
         ({"method": "dco", "basis.learning_rate": 1}, "belongs to shared_basis"),
         ({"method": "jont"}, "Did you mean 'joint'"),
@@ -79,12 +79,20 @@ def test_every_setting_is_described() -> None:
 
 
 @pytest.mark.parametrize("method", methods.names())
-@pytest.mark.parametrize("preset", presets.names())
-def test_every_method_has_every_preset(method: str, preset: str) -> None:
+@pytest.mark.parametrize("preset", presets.general_names())
+def test_every_method_has_every_general_preset(method: str, preset: str) -> None:
     """What a method says of a preset is valid, and comes back from JSON with its own type."""
     config = configure(preset, {"method": method})
     again = MorphConfig.model_validate_json(config.model_dump_json())
     assert again == config and type(again.method) is methods.options_of(method)
+
+
+def test_a_preset_of_one_method_is_refused_by_others() -> None:
+    """Without a method it names its own."""
+    assert configure("fluid").method.name == "flow"
+    with pytest.raises(ConfigError, match="'fluid' belongs to the method 'flow'") as caught:
+        configure("fluid", {"method": "joint"})
+    assert caught.value.remedy.endswith("one of fast, published, paper.")
 
 
 def test_the_schema_tells_methods_apart() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-MEASURED = {"reproduction.md": "## What we found", "method.md": "## Measured"}
+MEASURED = {"reproduction.md": "## What we found", "transport.md": "## Measured"}
 """Documents, and the heading below which every number is a measurement."""
 
 COLUMNS = (

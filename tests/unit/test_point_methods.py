@@ -335,7 +335,7 @@ def tiny(preset: str, method: str, **overrides: object) -> MorphConfig:
     return configure(preset, {**values, "method": method, **overrides})
 
 
-@pytest.mark.parametrize("preset", presets.names())
+@pytest.mark.parametrize("preset", presets.general_names())
 @pytest.mark.parametrize("name", POINT_METHODS)
 def test_end_to_end_under_every_preset(name: str, preset: str) -> None:
     """The distance falls; there are no numbers of the physics, and fill on the last frame."""

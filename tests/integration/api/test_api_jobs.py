@@ -25,11 +25,11 @@ def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
     assert answer.headers["Location"] == f"/v1/jobs/{job['id']}" and "Retry-After" in answer.headers
     assert (job["state"], job["queue_position"], job["progress"]["frames"]) == ("queued", 0, 3)
     assert job["progress"]["seconds_left"] > 0
-    assert (job["seed"], job["priority"], job["method"]) == (7, 5, "transport")
+    assert (job["seed"], job["priority"], job["method"]) == (7, 5, "flow")
     assert either.submit()["queue_position"] == 1
     assert either.http.get(answer.headers["Location"]).json()["name"] == "first"
     config = either.http.get(f"/v1/jobs/{job['id']}/config").json()
-    assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-3")
+    assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-4")
 
 
 def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:
