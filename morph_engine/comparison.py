@@ -154,10 +154,11 @@ def measure_path(result: Trajectory | str | Path) -> dict[str, float]:
     with opened(result) as run:
         spacing, last = run.config.spacing, run.positions(-1)
         values = path_metrics([run.run.source_points, *run], spacing)
+        apart = run.run.spacing_of(last)
         target = _of_run(run, -1).target
     if target is not None and target.mesh is not None:
         values |= mesh_metrics(last, target.mesh, spacing)
-        values |= surface_metrics(reconstruct_surface(last, spacing), target.mesh)
+        values |= surface_metrics(reconstruct_surface(last, apart), target.mesh)
     return values
 
 

@@ -83,3 +83,9 @@ def farthest_points(points: Points, count: int) -> npt.NDArray[np.intp]:
         gap = np.minimum(gap, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
         chosen.append(int(gap.argmax()))
     return np.array(chosen)
+
+
+def median_gap(points: npt.ArrayLike, neighbor: int) -> float:
+    """Median over finite points, shape [n, 3], of the distance to their n-th neighbour [dx]."""
+    finite, _ = finite_points(points)
+    return float(np.median(scipy.spatial.cKDTree(finite).query(finite, [neighbor + 1])[0]))

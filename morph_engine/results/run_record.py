@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.point_cloud import median_gap
+
+NEIGHBORS = 12
+"""The neighbour whose distance tells how far particles stand apart."""
 
 Json = dict[str, Any]
 Shape = Mesh | NDArray[Any]
@@ -71,6 +75,19 @@ class RunRecord:
         """Positions [dx], shape [n, 3], in the user's coordinates, float64."""
         placed: NDArray[np.float64] = positions @ self.transform[:3, :3].T + self.transform[:3, 3]
         return placed
+
+    def spacing_of(self, positions: NDArray[Any]) -> float:
+        """Spacing of a frame's particles [dx]: h, or more where a larger target spreads them.
+
+        Args:
+            positions: Positions of the frame [dx], shape [n, 3].
+        """
+        spacing = self.config.spacing
+        most = float(np.cbrt(len(self.target_points) / len(self.source_points)))
+        if most <= 1:
+            return spacing
+        growth = median_gap(positions, NEIGHBORS) / median_gap(self.source_points, NEIGHBORS)
+        return spacing * min(max(growth, 1.0), most)
 
     def document(self) -> Json:
         """The record as JSON, with a name and a sha256 in place of each array.

@@ -11,12 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from morph_engine.geometry.point_cloud import finite_points
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.results.fields import field
 from morph_engine.results.trajectory import Trajectory
-
-NEIGHBORS = 12
 
 Units = Literal["user", "grid"]
 Positions = npt.NDArray[np.float64]
@@ -115,7 +112,7 @@ class Selection:
         fields = {name: self.field(name, frame) for name in self.fields}
         if not self.surface:
             return Snapshot(frame, self.placed(positions), None, fields)
-        found = reconstruct_surface(positions, self._spacing_of(positions))
+        found = reconstruct_surface(positions, self.trajectory.run.spacing_of(positions))
         if fields:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
@@ -126,24 +123,6 @@ class Selection:
     def _spacing(self) -> float:
         return self.trajectory.config.spacing
 
-    def _spacing_of(self, positions: npt.ArrayLike) -> float:
-        """Spacing of a frame's particles [dx]: h, or more where a larger target spreads them."""
-        record = self.trajectory.run
-        most = float(np.cbrt(len(record.target_points) / len(record.source_points)))
-        if most <= 1:
-            return self._spacing
-        return self._spacing * min(max(_median_reach(positions) / self._source_reach, 1.0), most)
-
-    @cached_property
-    def _source_reach(self) -> float:
-        return _median_reach(self.trajectory.run.source_points)
-
     @cached_property
     def _scale(self) -> float:
         return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))
-
-
-def _median_reach(positions: npt.ArrayLike) -> float:
-    """Median over particles of the distance to the twelfth neighbour [dx]."""
-    points, _ = finite_points(positions)
-    return float(np.median(cKDTree(points).query(points, [NEIGHBORS + 1])[0]))

@@ -31,7 +31,7 @@ def run(result: Path, index: int, path: Path) -> None:
         frame, record = read_frame(result, index), read_run_record(result)
         if frame is None or record is None:
             raise ResultError("The frame has gone meanwhile.", "Ask for it again.")
-        found = reconstruct_surface(frame.positions, record.config.spacing)
+        found = reconstruct_surface(frame.positions, record.spacing_of(frame.positions))
         report: dict[str, Any] = {
             "watertight": found.watertight,
             "bodies": found.bodies,
