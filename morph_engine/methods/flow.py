@@ -48,7 +48,7 @@ LARGEST_DISTORTION = 0.15
 """Geodesic distortion below which two shapes are taken to have like parts."""
 
 LANDMARK_REACH = 1.0
-"""Landmarks lie at most so far from the matter of their shape [dx]."""
+"""Landmarks lie at most so far from the matter of their shape, and lead what is so near [dx]."""
 
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
@@ -153,6 +153,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._warp = flow.Warp(found) if found and self._carries(found) else None
         source = problem.source.astype(np.float64)
         self._followed = self._warp.follow(source) if self._warp else None
+        self._held = self._closeness(source)
         self._carried_share = -1.0
         self._path = flow.BodyPath(
             self._distance(problem.source_mesh, problem.source, axis),
@@ -285,8 +286,18 @@ class Flow(MpmMethod[FlowOptions]):
         """Velocity that the warp asks of each particle during a frame [dx/s], shape [n, 3]."""
         here = self._carried if share == self._carried_share else self._carry(share)
         there = self._carry(next_share)
-        step = there - here + RETURN * (1 - share) * (here - self._particles.x)
+        pull = np.maximum(RETURN * (1 - share), self._held)
+        step = there - here + pull[:, None] * (here - self._particles.x)
         return (step / self._frame_seconds).astype(self.device.numpy_real)
+
+    def _closeness(self, source: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How close particles are to a landmark, 1 at it, shape [n]: these follow the warp."""
+        if not self._warp or not self.options.landmarks:
+            return np.zeros(len(source))
+        marks = self._warp.start[: len(self.options.landmarks)]
+        distance = np.min([np.linalg.norm(source - mark, axis=1) for mark in marks], axis=0)
+        close: NDArray[np.float64] = np.exp(-((distance / LANDMARK_REACH) ** 2))
+        return close
 
     def _carry(self, share: float) -> NDArray[np.float64]:
         """Where the warp wants the particles at a share of the way [dx], shape [n, 3]."""
