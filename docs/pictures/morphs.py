@@ -21,7 +21,7 @@ from morph_engine.results.selection import Selection, Snapshot
 from morph_engine.results.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-METHODS = ("joint", "transport")
+METHODS = ("joint", "transport", "flow")
 SIZE = (720, 720)
 DENSITIES = (0.0, 2.0)
 VIEW = look(azimuth=20.0, up="z")
@@ -29,7 +29,7 @@ VIEW = look(azimuth=20.0, up="z")
 
 
 def morph_pictures(folder: Path, meshes: Path) -> None:
-    """Morph the paper's sphere into its bunny, by `joint` and by `transport`, and draw both.
+    """Morph the paper's sphere into its bunny, by `joint`, `transport` and `flow`, and draw them.
 
     Args:
         folder: Where the pictures are written.
@@ -41,11 +41,11 @@ def morph_pictures(folder: Path, meshes: Path) -> None:
             config = configure("fast", {"method": method})
             frames = morph(meshes / "sphere.obj", meshes / "bunny.obj", config, out=path)
             print(f"{method}: {len(list(frames))} frames")
-        film = ("--frames", "6", "12", "18", "39", "--up", "z", "--azimuth", "20")
-        _script("film_strip.py", results["transport"], folder / "morph.png", *film)
+        film = ("--frames", "12", "20", "26", "39", "--up", "z", "--azimuth", "20")
+        _script("film_strip.py", results["flow"], folder / "morph.png", *film)
         _script("vtk_picture.py", results["joint"], folder / "paraview.png", "--up", "z")
         _densities(results, folder / "density.png")
-        _surface(results["transport"], folder / "surface.png")
+        _surface(results["flow"], folder / "surface.png")
 
 
 def _script(name: str, result: Path, picture: Path, *options: str) -> None:
