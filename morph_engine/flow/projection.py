@@ -51,19 +51,16 @@ class Projection:
     Args:
         grid: The grid.
         full: Mass of a node deep inside at the density of the source.
-        gain: Share of an error of mass that is mended in a time step.
         tolerance: Largest residual over the largest right-hand side.
         iterations: Most iterations of conjugate gradients.
     """
 
     def __init__(
-        self, grid: Grid, *, full: float, gain: float, tolerance: float = 5e-3,
-        iterations: int = 100,
-    ) -> None:  # fmt: skip
+        self, grid: Grid, *, full: float, tolerance: float = 5e-3, iterations: int = 100
+    ) -> None:
         device = backend.active()
         self.grid = grid
         self.full = full
-        self.gain = gain
         self.tolerance = tolerance
         self.iterations = iterations
         self.iterations_made: int = 0
@@ -81,7 +78,7 @@ class Projection:
         """Start from psi = 0, as a resumed run does."""
         self._vectors.potential.fill(0)
 
-    def project(self, nodes: Any, wanted: Any, wanted_next: Any, dt: float) -> None:
+    def project(self, nodes: Any, wanted: Any, wanted_next: Any, dt: float, *, gain: float) -> None:
         """Change node velocities in place.
 
         Args:
@@ -89,6 +86,7 @@ class Projection:
             wanted: m* at the nodes, shape [r^3], over `full`.
             wanted_next: m*' likewise.
             dt: Time step [s].
+            gain: Share of an error of mass that is mended in this step.
         """
         system, vectors, grid = self._system, self._vectors, self.grid
         list_rows(nodes, wanted, wanted_next, system, vectors, self.full, grid)
@@ -96,7 +94,7 @@ class Projection:
         count = int(system.counts[0])
         size = -(-count // self._chunks)
         chunks = (count, self._chunks, size, self._stride)
-        assemble(nodes, wanted, wanted_next, system, vectors, self.full, self.gain, dt, grid)
+        assemble(nodes, wanted, wanted_next, system, vectors, self.full, gain, dt, grid)
         assemble_coarse(system, self._levels)
         begin(system, vectors, *chunks)
         limit = self.tolerance * max(self._largest(), 1e-12)

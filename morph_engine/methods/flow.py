@@ -145,7 +145,7 @@ class Flow(MpmMethod[FlowOptions]):
         # pressure is the projection's: shear alone is left to the material
         self._simulation.material = replace(self._simulation.material, lame_lambda=0.0)
         full = options.material.density * dx**3
-        self._projection = flow.Projection(self._grid, full=full, gain=options.gain)
+        self._projection = flow.Projection(self._grid, full=full)
         self._settling = flow.Settling(len(problem.source), self._grid, config.spacing)
         axis = flow.fine_axis(self._grid)
         self._correspondence = self._match()
@@ -340,7 +340,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._volume_ratio.fill(1)
         depth = options.depth * self.problem.config.spacing
         momentum = options.momentum ** (1 / steps)
-        self._projection.gain = 1 - (1 - options.gain) ** (STEPS / steps)
+        gain = 1 - (1 - options.gain) ** (STEPS / steps)
         memory = options.memory * (1 - share)
         elasticity = math.exp(-1 / (steps * memory)) if memory > 0.01 else 0.0
         flow.blend(self._wanted[1], *self._masses, 0.0)
@@ -358,7 +358,7 @@ class Flow(MpmMethod[FlowOptions]):
             nodes.fill(0)
             simulation.to_nodes()
             before, after = self._wanted
-            self._projection.project(nodes, before, after, simulation.dt)
+            self._projection.project(nodes, before, after, simulation.dt, gain=gain)
             simulation.to_particles()
             self._settle(there.x, share + part * (next_share - share))
             simulation.layers.reverse()

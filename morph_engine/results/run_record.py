@@ -7,6 +7,7 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import metadata
 from typing import Any
 
@@ -86,8 +87,12 @@ class RunRecord:
         most = float(np.cbrt(len(self.target_points) / len(self.source_points)))
         if most <= 1:
             return spacing
-        growth = median_gap(positions, NEIGHBORS) / median_gap(self.source_points, NEIGHBORS)
+        growth = median_gap(positions, NEIGHBORS) / self._source_gap
         return spacing * min(max(growth, 1.0), most)
+
+    @cached_property
+    def _source_gap(self) -> float:
+        return median_gap(self.source_points, NEIGHBORS)
 
     def document(self) -> Json:
         """The record as JSON, with a name and a sha256 in place of each array.

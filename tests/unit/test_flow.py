@@ -105,12 +105,12 @@ def test_the_pressure_moves_matter_to_where_the_body_goes() -> None:
     )
     now, then = (path.at(share).mass.ravel() for share in (0.0, 1.0))
     device = backend.active()
-    projection = Projection(GRID, full=1.0, gain=0.3, tolerance=1e-5)
+    projection = Projection(GRID, full=1.0, tolerance=1e-5)
     nodes = device.vectors(GRID.node_count, 4)
     values = np.zeros((GRID.node_count, 4), np.float32)
     values[:, 3] = now
     nodes.from_numpy(values)
-    projection.project(nodes, device.upload(now), device.upload(then), dt)
+    projection.project(nodes, device.upload(now), device.upload(then), dt, gain=0.3)
     moved = nodes.to_numpy()[now > 0.99, :3]
     assert moved[:, 0] == pytest.approx(shift / dt, rel=0.15)
     assert np.abs(moved[:, 1:]).max() < 0.1 * shift / dt
@@ -128,7 +128,7 @@ def test_the_pressure_takes_out_a_flow_through_the_surface() -> None:
     values[mass > 0, 0] = 1.0
     nodes.from_numpy(values)
     wanted = device.upload(mass)
-    Projection(GRID, full=1.0, gain=0.3, tolerance=1e-5).project(nodes, wanted, wanted, 0.05)
+    Projection(GRID, full=1.0, tolerance=1e-5).project(nodes, wanted, wanted, 0.05, gain=0.3)
     assert np.abs(nodes.to_numpy()[mass > 0.99, :3]).max() < 0.15
 
 
