@@ -5,6 +5,7 @@ from .contact import LayerArrays as LayerArrays
 from .contact import Settling as Settling
 from .contact import blend as blend
 from .contact import prepare as prepare
+from .correspondence import Controls as Controls
 from .correspondence import Correspondence as Correspondence
 from .correspondence import match as match
 from .correspondence import sample_controls as sample_controls

@@ -245,18 +245,21 @@ class Flow(MpmMethod[FlowOptions]):
         options, problem = self.options, self.problem
         if options.like_parts == "off" and not options.landmarks:
             return None
-        ends = (
-            (problem.source, problem.source_to_grid, [pair.source for pair in options.landmarks]),
-            (problem.target, problem.target_to_grid, [pair.target for pair in options.landmarks]),
+        source = self._controls(
+            problem.source, problem.source_to_grid, [pair.source for pair in options.landmarks]
         )
-        source, target = (
-            flow.sample_controls(points.astype(np.float64), problem.config.spacing, marked)
-            for points, marked in (
-                (points, _placed(marks, to_grid, points)) for points, to_grid, marks in ends
-            )
+        target = self._controls(
+            problem.target, problem.target_to_grid, [pair.target for pair in options.landmarks]
         )
         with threadpoolctl.threadpool_limits(1, "blas"):  # matrices are small: threads only wait
             return flow.match(source, target)
+
+    def _controls(
+        self, points: NDArray[np.float32], to_grid: NDArray[np.float64], marks: list[Vector]
+    ) -> flow.Controls:
+        """Controls of a shape, its landmarks first."""
+        placed = _placed(marks, to_grid, points)
+        return flow.sample_controls(points.astype(np.float64), self.problem.config.spacing, placed)
 
     def _carries(self, found: flow.Correspondence) -> bool:
         """Whether parts are carried to like parts."""
