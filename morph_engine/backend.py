@@ -57,12 +57,6 @@ class Backend:
         """The NumPy type of every real number on the device."""
         return np.float64 if self.precision == "float64" else np.float32
 
-    def chunks(self, item_count: int) -> tuple[int, int]:
-        """Chunk count and items per chunk of a scattering kernel over `item_count` items."""
-        if not self.on_cpu:
-            return item_count, 1
-        return CPU_CHUNK_COUNT, -(-item_count // CPU_CHUNK_COUNT)
-
     def scalars(self, count: int) -> Any:
         """A zeroed device array of reals, shape [count]."""
         return _zeroed(ti.ndarray(self.real, count))

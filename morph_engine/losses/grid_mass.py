@@ -11,10 +11,10 @@ from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.grid import Grid, base_and_offset, flat_index, is_inside, row_index
 from morph_engine.mpm.private_grids import (
-    PrivateArrays,
     PrivateGrids,
     begin_chunk,
     sum_chunks,
+    task_count,
     touching_chunks,
 )
 
@@ -29,15 +29,15 @@ class GridMass:
         self.point_count = point_count
         self.point_mass = point_mass
         self.grid = grid
-        self._private = PrivateGrids(point_count, grid, values=1)
+        self._private = PrivateGrids(grid, values=1)
         self.nodes: Any = backend.active().scalars(grid.node_count)
 
     def gather(self, x: Any) -> Any:
         """Node masses of points at x [dx], shape [point_count, 3]; shape [node_count]."""
         private = self._private
         _mass_to_grid(
-            x, private.arrays, self.nodes, self.point_mass,
-            private.task_count, private.chunk_count, private.chunk_size, self.grid, private.atomic,
+            x, private.partial, private.touched, self.nodes, self.point_mass,
+            self.grid, private.atomic,
         )  # fmt: skip
         return self.nodes
 
@@ -99,12 +99,10 @@ class GridMassLoss:
 @ti.kernel
 def _mass_to_grid(
     x: ti.types.ndarray(),
-    private: PrivateArrays,
+    partial: ti.types.ndarray(),
+    touched: ti.types.ndarray(),
     mass: ti.types.ndarray(),
     point_mass: float,
-    task_count: int,
-    chunk_count: int,
-    chunk_size: int,
     grid: ti.template(),
     atomic: ti.template(),
 ):
@@ -112,9 +110,9 @@ def _mass_to_grid(
     width = ti.static(grid.width)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            private.partial[i] = 0.0
-    for task in range(task_count):
-        first, last, offset = begin_chunk(task, chunk_size, x, private, grid, atomic)
+            partial[i] = 0.0
+    for task in range(task_count(x, atomic)):
+        first, last, offset = begin_chunk(task, x, partial, touched, grid, atomic)
         for p in range(first, last):
             base, u = base_and_offset(x[p], grid)
             wx, wy = b_spline.weights(u.x, width), b_spline.weights(u.y, width)
@@ -126,17 +124,17 @@ def _mass_to_grid(
                     start = row_index(corner, i, j, grid)
                     if ti.static(atomic):
                         for k in ti.static(range(width)):
-                            ti.atomic_add(private.partial[start + k], share[k])
+                            ti.atomic_add(partial[start + k], share[k])
                     else:
-                        row = ti.Vector([private.partial[start + k] for k in range(width)]) + share
+                        row = ti.Vector([partial[start + k] for k in range(width)]) + share
                         for k in ti.static(range(width)):
-                            private.partial[start + k] = row[k]
+                            partial[start + k] = row[k]
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, touched, grid, atomic)
         for i in range(row * grid.resolution, (row + 1) * grid.resolution):
             mass[i] = 0.0
             if chunks != 0 and is_inside(i, grid):
-                mass[i] = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
+                mass[i] = sum_chunks(i, chunks, partial, grid, atomic)
 
 
 @ti.kernel

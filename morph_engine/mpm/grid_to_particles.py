@@ -7,19 +7,28 @@ from morph_engine.mpm.constitutive import kirchhoff_stress, kirchhoff_stress_adj
 from morph_engine.mpm.faults import INVERTED, NON_FINITE, OUTSIDE, TOO_FAST
 from morph_engine.mpm.grid import base_and_offset, flat_index, row_index
 from morph_engine.mpm.particles_to_grid import join
-from morph_engine.mpm.state import AdjointArrays, StepArrays
+
+# Only what the kernel works on: see `ParticlesToGridArrays`.
+GridToParticlesArrays = ti.types.argpack(
+    **dict.fromkeys(("x", "F", "U", "nodes"), ti.types.ndarray()),
+    **dict.fromkeys(("x_next", "v_next", "C_next", "F_next"), ti.types.ndarray()),
+)
+GridToParticlesAdjointArrays = ti.types.argpack(
+    **dict.fromkeys(("x", "v", "C", "F", "U", "R", "volume"), ti.types.ndarray()),
+    **dict.fromkeys(("v_next", "C_next", "nodes_bar"), ti.types.ndarray()),
+    **dict.fromkeys(("x_bar", "v_bar", "C_bar", "F_bar", "U_bar"), ti.types.ndarray()),
+)
 
 
 @ti.kernel
 def grid_to_particles(
-    step: StepArrays,
+    step: GridToParticlesArrays,
     faults: ti.types.ndarray(),
     dt: float,
     smoothing: float,
     domain: float,
     largest_speed: float,
     grid: ti.template(),
-    scheme: ti.template(),
 ):
     """Grid velocity to the particles, and their update (algorithm 2.5).
 
@@ -80,8 +89,7 @@ def grid_to_particles(
 
 @ti.kernel
 def grid_to_particles_adjoint(
-    step: StepArrays,
-    adjoint: AdjointArrays,
+    step: GridToParticlesAdjointArrays,
     mass: float,
     lame_lambda: float,
     lame_mu: float,
@@ -103,9 +111,9 @@ def grid_to_particles_adjoint(
         A = step.F[p] + step.U[p]
         T = kirchhoff_stress(A, step.R[p], lame_lambda, lame_mu, scheme.model)
         B = (-affine * dt * step.volume[p]) * T + mass * step.C[p]
-        F_bar_next = adjoint.F_bar[p]
-        nu = adjoint.v_bar[p] + dt * adjoint.x_bar[p]
-        Gamma = adjoint.C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
+        F_bar_next = step.F_bar[p]
+        nu = step.v_bar[p] + dt * step.x_bar[p]
+        Gamma = step.C_bar[p] + (smoothing_factor * dt) * (F_bar_next @ A.transpose())
         momentum = mass * step.v[p]
         if ti.static(not scheme.adjoint.drop_drag):
             momentum = (1 - dt * drag) * mass * step.v[p]
@@ -128,8 +136,8 @@ def grid_to_particles_adjoint(
         for i in range(width):
             for j in range(width):
                 first = row_index(corner, i, j, grid)
-                line, line_z = stencil.row_moments(adjoint.nodes_bar, first, wz, width)
-                slope, slope_z = stencil.row_moments(adjoint.nodes_bar, first, gz, width)
+                line, line_z = stencil.row_moments(step.nodes_bar, first, wz, width)
+                slope, slope_z = stencil.row_moments(step.nodes_bar, first, gz, width)
                 affine_ij = center + by_x * (i - u.x) + by_y * (j - u.y)
                 scalar = line * affine_ij + line_z * by_z
                 w = wx[i] * wy[j]
@@ -152,16 +160,16 @@ def grid_to_particles_adjoint(
         C_new = step.C_next[p]
         A_bar = kirchhoff_stress_adjoint(A, step.R[p], T_bar, lame_lambda, lame_mu, scheme.model)
         A_bar += (1 - smoothing) * (F_bar_next + dt * (C_new.transpose() @ F_bar_next))
-        adjoint.x_bar[p] = decay * (
-            adjoint.x_bar[p]
+        step.x_bar[p] = decay * (
+            step.x_bar[p]
             + e / dx
             - B.transpose() @ q
             - affine * (Gamma.transpose() @ step.v_next[p])
         )
-        adjoint.v_bar[p] = decay * (1 - dt * drag) * mass * q
-        adjoint.C_bar[p] = decay * mass * Q
+        step.v_bar[p] = decay * (1 - dt * drag) * mass * q
+        step.C_bar[p] = decay * mass * Q
         control_bar = A_bar
         if ti.static(scheme.adjoint.carry_control):
             control_bar += smoothing * F_bar_next
-        adjoint.U_bar[p] = decay * control_bar
-        adjoint.F_bar[p] = decay * (A_bar + smoothing * F_bar_next)
+        step.U_bar[p] = decay * control_bar
+        step.F_bar[p] = decay * (A_bar + smoothing * F_bar_next)

@@ -8,29 +8,30 @@ import taichi as ti
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.constitutive import FIXED_COROTATED, kirchhoff_stress, rotation
 from morph_engine.mpm.grid import base_and_offset, flat_index, is_inside, row_index
-from morph_engine.mpm.private_grids import (
-    PrivateArrays,
-    begin_chunk,
-    sum_chunks,
-    touching_chunks,
-)
-from morph_engine.mpm.state import AdjointArrays, StepArrays
+from morph_engine.mpm.private_grids import begin_chunk, sum_chunks, task_count, touching_chunks
 
 SMALLEST_MASS = 1e-12
+
+# Arrays of one time step, see `Layer`, `Transition`, `PrivateGrids`. A launch takes some 5 us for
+# each, so that a kernel's pack has those that it works on and no others.
+ParticlesToGridArrays = ti.types.argpack(
+    **dict.fromkeys(("x", "v", "C", "F", "U", "R", "volume"), ti.types.ndarray()),
+    **dict.fromkeys(("partial", "touched", "nodes"), ti.types.ndarray()),
+)
+ParticlesToGridAdjointArrays = ti.types.argpack(
+    **dict.fromkeys(("x", "F", "U", "x_bar", "v_bar", "C_bar", "F_bar"), ti.types.ndarray()),
+    **dict.fromkeys(("partial", "touched", "nodes", "nodes_bar"), ti.types.ndarray()),
+)
 
 
 @ti.kernel
 def particles_to_grid(
-    step: StepArrays,
-    private: PrivateArrays,
+    step: ParticlesToGridArrays,
     mass: float,
     lame_lambda: float,
     lame_mu: float,
     dt: float,
     drag: float,
-    task_count: int,
-    chunk_count: int,
-    chunk_size: int,
     grid: ti.template(),
     scheme: ti.template(),
 ):
@@ -41,9 +42,9 @@ def particles_to_grid(
     affine, atomic = ti.static(grid.affine, scheme.atomic)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            private.partial[i] = zero4()
-    for task in range(task_count):
-        first, last, offset = begin_chunk(task, chunk_size, step.x, private, grid, atomic)
+            step.partial[i] = zero4()
+    for task in range(task_count(step.x, atomic)):
+        first, last, offset = begin_chunk(task, step.x, step.partial, step.touched, grid, atomic)
         for p in range(first, last):
             A = step.F[p] + step.U[p]
             if ti.static(scheme.model == FIXED_COROTATED):
@@ -51,12 +52,12 @@ def particles_to_grid(
             T = kirchhoff_stress(A, step.R[p], lame_lambda, lame_mu, scheme.model)
             B = (-affine * dt * step.volume[p]) * T + mass * step.C[p]
             momentum = (1 - dt * drag) * mass * step.v[p]
-            scatter(private, offset, step.x[p], momentum, B, mass, grid, atomic)
+            scatter(step.partial, offset, step.x[p], momentum, B, mass, grid, atomic)
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, step.touched, grid, atomic)
         if chunks != 0:  # no other row is ever read
             for i in range(row * grid.resolution, (row + 1) * grid.resolution):
-                node = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
+                node = sum_chunks(i, chunks, step.partial, grid, atomic)
                 m = node.w
                 if m > SMALLEST_MASS and is_inside(i, grid):
                     step.nodes[i] = append(node.xyz / m, m)
@@ -66,14 +67,9 @@ def particles_to_grid(
 
 @ti.kernel
 def particles_to_grid_adjoint(
-    step: StepArrays,
-    adjoint: AdjointArrays,
-    private: PrivateArrays,
+    step: ParticlesToGridAdjointArrays,
     smoothing_factor: float,
     dt: float,
-    task_count: int,
-    chunk_count: int,
-    chunk_size: int,
     grid: ti.template(),
     scheme: ti.template(),
 ):
@@ -85,31 +81,31 @@ def particles_to_grid_adjoint(
     affine, atomic = ti.static(grid.affine, scheme.atomic)
     if ti.static(atomic):
         for i in range(grid.node_count):
-            private.partial[i] = zero4()
-    for task in range(task_count):
-        first, last, offset = begin_chunk(task, chunk_size, step.x, private, grid, atomic)
+            step.partial[i] = zero4()
+    for task in range(task_count(step.x, atomic)):
+        first, last, offset = begin_chunk(task, step.x, step.partial, step.touched, grid, atomic)
         for p in range(first, last):
-            nu = adjoint.v_bar[p] + dt * adjoint.x_bar[p]
+            nu = step.v_bar[p] + dt * step.x_bar[p]
             A = step.F[p] + step.U[p]
-            Gamma = adjoint.C_bar[p] + (smoothing_factor * dt) * (adjoint.F_bar[p] @ A.transpose())
-            scatter(private, offset, step.x[p], nu, affine * Gamma, 0.0, grid, atomic)
+            Gamma = step.C_bar[p] + (smoothing_factor * dt) * (step.F_bar[p] @ A.transpose())
+            scatter(step.partial, offset, step.x[p], nu, affine * Gamma, 0.0, grid, atomic)
     for row in range(grid.resolution**2):
-        chunks = touching_chunks(row, private, chunk_count, grid, atomic)
+        chunks = touching_chunks(row, step.touched, grid, atomic)
         if chunks != 0:  # no other row is ever read
             for i in range(row * grid.resolution, (row + 1) * grid.resolution):
                 v_node = step.nodes[i]
                 if v_node.w > SMALLEST_MASS:
-                    node = sum_chunks(i, chunks, private, chunk_count, grid, atomic)
+                    node = sum_chunks(i, chunks, step.partial, grid, atomic)
                     Pi_bar = node.xyz / v_node.w
                     M_bar = -v_node.xyz.dot(Pi_bar)
-                    adjoint.nodes_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
+                    step.nodes_bar[i] = join(Pi_bar, M_bar, v_node.xyz)
                 else:
-                    adjoint.nodes_bar[i] = ti.Vector.zero(float, 8)
+                    step.nodes_bar[i] = ti.Vector.zero(float, 8)
 
 
 @ti.func
 def scatter(
-    private: ti.template(),
+    partial: ti.template(),
     offset: int,
     position,
     constant,
@@ -137,7 +133,7 @@ def scatter(
             share = w * along_z + ti.Vector(
                 [wz[k] * across[c] for k in range(width) for c in range(4)]
             )
-            stencil.add_row(private.partial, row_index(corner, i, j, grid), share, width, atomic)
+            stencil.add_row(partial, row_index(corner, i, j, grid), share, width, atomic)
 
 
 @ti.func

@@ -10,38 +10,40 @@ from typing import Any
 import taichi as ti
 
 from morph_engine import backend
-from morph_engine.backend import CPU_CHUNK_STRIDE
+from morph_engine.backend import CPU_CHUNK_COUNT, CPU_CHUNK_STRIDE
 from morph_engine.mpm.grid import Grid, base_and_offset
-
-PrivateArrays = ti.types.argpack(partial=ti.types.ndarray(), touched=ti.types.ndarray())
-"""Node values of all private grids, and the box of rows that each chunk touches."""
 
 
 class PrivateGrids:
-    """Device arrays of a scattering kernel, and how it splits its particles.
+    """Device arrays of a scattering kernel.
 
-    There are 4 values per node, or 1.
+    Attributes:
+        atomic: Whether there is one grid and additions are atomic.
+        partial: Node values of all private grids; 4 values per node, or 1.
+        touched: The box of rows that each chunk touches.
     """
 
-    def __init__(self, particle_count: int, grid: Grid, values: int = 4) -> None:
+    def __init__(self, grid: Grid, values: int = 4) -> None:
         device = backend.active()
         self.atomic: bool = not device.on_cpu
-        self.chunk_count, self.chunk_size = device.chunks(particle_count)
-        self.task_count = self.chunk_count * (1 if self.atomic else CPU_CHUNK_STRIDE)
-        grids = 1 if self.atomic else self.chunk_count
+        grids = 1 if self.atomic else CPU_CHUNK_COUNT
         count = grids * grid.node_count
-        self.arrays: Any = PrivateArrays(
-            partial=device.scalars(count) if values == 1 else device.vectors(count, values),
-            touched=device.integer_vectors(grids, 4),
-        )
+        self.partial: Any = device.scalars(count) if values == 1 else device.vectors(count, values)
+        self.touched: Any = device.integer_vectors(grids, 4)
+
+
+@ti.func
+def task_count(x: ti.template(), atomic: ti.template()):
+    """Number of tasks that `begin_chunk` splits the particles into."""
+    return x.shape[0] if ti.static(atomic) else CPU_CHUNK_COUNT * CPU_CHUNK_STRIDE
 
 
 @ti.func
 def begin_chunk(
     task: int,
-    chunk_size: int,
     x: ti.template(),
-    private: ti.template(),
+    partial: ti.template(),
+    touched: ti.template(),
     grid: ti.template(),
     atomic: ti.template(),
 ):
@@ -49,14 +51,15 @@ def begin_chunk(
 
     Of CPU_CHUNK_STRIDE tasks one has particles, so that each chunk is a thread's own.
     """
-    stride = ti.static(1 if atomic else CPU_CHUNK_STRIDE)
     first, last, offset = 0, 0, 0
-    if task % stride == 0:
-        chunk = task // stride
-        first = ti.min(chunk * chunk_size, x.shape[0])
-        last = ti.min((chunk + 1) * chunk_size, x.shape[0])
-        if ti.static(not atomic):
-            offset = clear_touched_rows(chunk, first, last, x, private, grid)
+    if ti.static(atomic):
+        first, last = task, task + 1
+    elif task % CPU_CHUNK_STRIDE == 0:
+        chunk = task // CPU_CHUNK_STRIDE
+        size = (x.shape[0] + CPU_CHUNK_COUNT - 1) // CPU_CHUNK_COUNT
+        first = ti.min(chunk * size, x.shape[0])
+        last = ti.min((chunk + 1) * size, x.shape[0])
+        offset = clear_touched_rows(chunk, first, last, x, partial, touched, grid)
     return first, last, offset
 
 
@@ -66,7 +69,8 @@ def clear_touched_rows(
     first: int,
     last: int,
     x: ti.template(),
-    private: ti.template(),
+    partial: ti.template(),
+    touched: ti.template(),
     grid: ti.template(),
 ):
     """Clear the rows of a chunk's private grid that its points reach; returns its offset."""
@@ -76,30 +80,24 @@ def clear_touched_rows(
         base, _ = base_and_offset(x[p], grid)
         low = ti.min(low, base.xy)
         high = ti.max(high, base.xy + width - 1)
-    private.touched[chunk] = ti.Vector([low.x, high.x, low.y, high.y])
+    touched[chunk] = ti.Vector([low.x, high.x, low.y, high.y])
     offset = chunk * nodes**3
     for i in range(low.x, high.x + 1):
         plane = offset + i * nodes**2
         for node in range(plane + low.y * nodes, plane + (high.y + 1) * nodes):
-            private.partial[node] = ti.zero(private.partial[node])
+            partial[node] = ti.zero(partial[node])
     return offset
 
 
 @ti.func
-def touching_chunks(
-    row: int,
-    private: ti.template(),
-    chunk_count: int,
-    grid: ti.template(),
-    atomic: ti.template(),
-):
+def touching_chunks(row: int, touched: ti.template(), grid: ti.template(), atomic: ti.template()):
     """The chunks that touch a row of nodes along z, as bits; 0 where no particle reaches."""
     chunks = 1
     if ti.static(not atomic):
         x, y = row // grid.resolution, row % grid.resolution
         chunks = 0
-        for chunk in range(chunk_count):
-            box = private.touched[chunk]
+        for chunk in range(CPU_CHUNK_COUNT):
+            box = touched[chunk]
             if box[0] <= x and x <= box[1] and box[2] <= y and y <= box[3]:
                 chunks |= 1 << chunk
     return chunks
@@ -107,18 +105,13 @@ def touching_chunks(
 
 @ti.func
 def sum_chunks(
-    i: int,
-    chunks: int,
-    private: ti.template(),
-    chunk_count: int,
-    grid: ti.template(),
-    atomic: ti.template(),
+    i: int, chunks: int, partial: ti.template(), grid: ti.template(), atomic: ti.template()
 ):
     """Sum node i over the private grids of the chunks given as bits, in their order."""
-    total = private.partial[i]
+    total = partial[i]
     if ti.static(not atomic):
         total = ti.zero(total)
-        for chunk in range(chunk_count):
+        for chunk in range(CPU_CHUNK_COUNT):
             if chunks >> chunk & 1:
-                total += private.partial[chunk * grid.node_count + i]
+                total += partial[chunk * grid.node_count + i]
     return total

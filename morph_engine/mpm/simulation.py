@@ -10,11 +10,21 @@ from numpy.typing import NDArray
 from morph_engine import backend
 from morph_engine.mpm.constitutive import FIXED_COROTATED
 from morph_engine.mpm.grid import Grid
-from morph_engine.mpm.grid_to_particles import grid_to_particles, grid_to_particles_adjoint
-from morph_engine.mpm.particles_to_grid import particles_to_grid, particles_to_grid_adjoint
+from morph_engine.mpm.grid_to_particles import (
+    GridToParticlesAdjointArrays,
+    GridToParticlesArrays,
+    grid_to_particles,
+    grid_to_particles_adjoint,
+)
+from morph_engine.mpm.particles_to_grid import (
+    ParticlesToGridAdjointArrays,
+    ParticlesToGridArrays,
+    particles_to_grid,
+    particles_to_grid_adjoint,
+)
 from morph_engine.mpm.private_grids import PrivateGrids
 from morph_engine.mpm.scheme import EXACT, Scheme
-from morph_engine.mpm.state import AdjointArrays, Layer, StepArrays, Transition
+from morph_engine.mpm.state import Layer, Transition
 from morph_engine.sections import AdjointConfig
 
 
@@ -74,7 +84,7 @@ class Simulation:
         ]
         self.volume: Any = device.upload(rest_volume)
         self.bar: Layer = Layer(n)
-        self._private = PrivateGrids(n, grid)
+        self._private = PrivateGrids(grid)
         self._scheme = Scheme(material.model, self._private.atomic, adjoint)
         self._nodes_bar = device.vectors(grid.node_count, 8)
         self._faults = device.integers(1)
@@ -91,7 +101,7 @@ class Simulation:
         Returns:
             Fault bits (`faults.NON_FINITE`, ...) of all these steps; 0 when all is well.
         """
-        self._faults[0] = 0
+        self.clear_faults()
         for k in range(first, len(self.transitions)):
             self.to_nodes(k)
             self.to_particles(k)
@@ -104,23 +114,22 @@ class Simulation:
 
     def clear_faults(self) -> None:
         """Forget faults, before steps made by `to_nodes` and `to_particles`."""
-        self._faults[0] = 0
+        self._faults.fill(0)
 
     def to_nodes(self, k: int = 0) -> None:
         """First half of time step k: velocity and mass in `transitions[k].nodes`."""
-        p, private = self.material, self._private
+        p = self.material
         particles_to_grid(
-            self._step(k), private.arrays, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt,
-            p.drag, private.task_count, private.chunk_count, private.chunk_size,
-            self.grid, self._scheme,
+            self._pack(ParticlesToGridArrays, k),
+            p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag, self.grid, self._scheme,
         )  # fmt: skip
 
     def to_particles(self, k: int = 0) -> None:
         """Second half of time step k: layer k + 1 from the node velocities."""
         largest_speed = self.largest_cells_per_step * self.grid.dx / self.dt
         grid_to_particles(
-            self._step(k), self._faults, self.dt, self.smoothing, self.domain, largest_speed,
-            self.grid, self._scheme,
+            self._pack(GridToParticlesArrays, k), self._faults,
+            self.dt, self.smoothing, self.domain, largest_speed, self.grid,
         )  # fmt: skip
 
     def backward(self, last: int = 0, *, decay: float = 1.0) -> None:
@@ -133,45 +142,39 @@ class Simulation:
             last: The lowest layer to reach.
             decay: Factor on the whole adjoint state after every transition (algorithm 7.3 H1).
         """
-        p, private = self.material, self._private
+        p = self.material
         factor = 1.0 if self._scheme.adjoint.drop_smoothing else 1.0 - self.smoothing
         for k in reversed(range(last, len(self.transitions))):
-            step, bar = self._step(k), self._adjoint(k)
             particles_to_grid_adjoint(
-                step, bar, private.arrays, factor, self.dt,
-                private.task_count, private.chunk_count, private.chunk_size,
-                self.grid, self._scheme,
+                self._pack(ParticlesToGridAdjointArrays, k),
+                factor, self.dt, self.grid, self._scheme,
             )  # fmt: skip
             grid_to_particles_adjoint(
-                step, bar, p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
+                self._pack(GridToParticlesAdjointArrays, k),
+                p.particle_mass, p.lame_lambda, p.lame_mu, self.dt, p.drag,
                 self.smoothing, factor, decay, self.grid, self._scheme,
             )  # fmt: skip
 
-    def _step(self, k: int) -> Any:
-        """The arrays of time step k; layers and controls may have been exchanged."""
-        here, there, transition = self.layers[k], self.layers[k + 1], self.transitions[k]
-        return self._packed(
-            StepArrays, k,
-            x=here.x, v=here.v, C=here.C, F=here.F,
-            x_next=there.x, v_next=there.v, C_next=there.C, F_next=there.F,
-            U=transition.U, R=transition.R, nodes=transition.nodes, volume=self.volume,
-        )  # fmt: skip
+    def _pack(self, kind: Any, k: int) -> Any:
+        """Those arrays of time step k that a kernel works on, as one argument.
 
-    def _adjoint(self, k: int) -> Any:
-        """The gradients that the adjoint of time step k works on."""
-        bar = self.bar
-        return self._packed(
-            AdjointArrays, k,
-            x_bar=bar.x, v_bar=bar.v, C_bar=bar.C, F_bar=bar.F,
-            U_bar=self.transitions[k].U_bar, nodes_bar=self._nodes_bar,
-        )  # fmt: skip
-
-    def _packed(self, kind: Any, k: int, **arrays: Any) -> Any:
-        """Arrays as one argument; packs are kept, for making one takes a tenth of a millisecond."""
+        Packs are kept, for making one takes a tenth of a millisecond; layers and controls may have
+        been exchanged since.
+        """
+        here, there, bar, private = self.layers[k], self.layers[k + 1], self.bar, self._private
+        transition = self.transitions[k]
+        arrays = {
+            "x": here.x, "v": here.v, "C": here.C, "F": here.F,
+            "x_next": there.x, "v_next": there.v, "C_next": there.C, "F_next": there.F,
+            "x_bar": bar.x, "v_bar": bar.v, "C_bar": bar.C, "F_bar": bar.F,
+            "U": transition.U, "U_bar": transition.U_bar, "R": transition.R, "volume": self.volume,
+            "nodes": transition.nodes, "nodes_bar": self._nodes_bar,
+            "partial": private.partial, "touched": private.touched,
+        }  # fmt: skip
         pack = self._packs.get((kind, k))
         if pack is None:
-            pack = self._packs[kind, k] = kind(**arrays)
-        for name, array in arrays.items():
-            if pack[name] is not array:
-                pack[name] = array
+            pack = self._packs[kind, k] = kind(**{name: arrays[name] for name in kind.members})
+        for name in kind.members:
+            if pack[name] is not arrays[name]:
+                pack[name] = arrays[name]
         return pack

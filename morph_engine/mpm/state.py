@@ -11,21 +11,6 @@ from morph_engine import backend
 
 Array = NDArray[Any]
 
-StepArrays = ti.types.argpack(
-    **dict.fromkeys(("x", "v", "C", "F"), ti.types.ndarray()),
-    **dict.fromkeys(("x_next", "v_next", "C_next", "F_next"), ti.types.ndarray()),
-    **dict.fromkeys(("U", "R", "nodes", "volume"), ti.types.ndarray()),
-)
-"""What the kernels of one time step work on: state before and after, see `Layer`, `Transition`."""
-
-AdjointArrays = ti.types.argpack(
-    **dict.fromkeys(("x_bar", "v_bar", "C_bar", "F_bar", "U_bar", "nodes_bar"), ti.types.ndarray())
-)
-"""Gradients by the state, by the control of one time step, and by its node values.
-
-Members of the packs of one kernel have names of their own: Taichi 1.7 goes by these alone.
-"""
-
 
 @dataclass
 class Particles:
