@@ -114,8 +114,8 @@ class MeshFolder:
             )
             raise MeshError(
                 f"There is no {', '.join(missing)} in the folder {self.path}.",
-                "Name the folder of the meshes with --meshes or MORPH_MESHES. The public originals "
-                "have to be scaled and placed as in the paper's domain, see docs/reproduction.md "
+                "Name the folder of the meshes with --meshes or MORPH_MESHES; or let --fetch or "
+                "morph shapes fetch put them there, made from their public originals "
                 f"({origins}).",
             )
         for name in wanted:

@@ -1,15 +1,21 @@
-"""Commands that list what there is to choose from: methods, shapes and presets."""
+"""Commands on what there is to choose from: methods, shapes and presets."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chamfer_morph.cli.options import JsonOption, MethodOption
+from chamfer_morph.cli.options import JsonOption, MethodOption, QuietOption
 from chamfer_morph.cli.output import print_json, print_result
 
+if TYPE_CHECKING:
+    from chamfer_morph.cli.mesh_fetch import FetchedMesh
+
 app: typer.Typer = typer.Typer()
+shapes: typer.Typer = typer.Typer(invoke_without_command=True)
+app.add_typer(shapes, name="shapes")
 
 
 @app.command()
@@ -25,13 +31,66 @@ def methods(as_json: JsonOption = False) -> None:
         print_table(("method", "what it does"), rows.items())
 
 
-@app.command()
-def shapes(as_json: JsonOption = False) -> None:
+@shapes.callback()
+def list_shapes(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the built-in shapes; text:HELLO makes extruded letters of any string."""
+    if context.invoked_subcommand:
+        return
     from morph_engine.geometry.shapes import names
 
     text = "\n".join((*names(), "text:ANY STRING"))
     print_result({"shapes": list(names())}, text, as_json=as_json)
+
+
+@shapes.command()
+def fetch(
+    meshes: Annotated[
+        list[str] | None, typer.Argument(metavar="[MESH...]", help="As cow.obj; all if absent.")
+    ] = None,
+    to: Annotated[
+        Path, typer.Option("--to", envvar="MORPH_MESHES", help="Folder that they go into.")
+    ] = Path("meshes"),
+    place: Annotated[
+        str,
+        typer.Option(
+            "--from", metavar="PLACE", help="Address or folder that has the originals instead."
+        ),
+    ] = "",
+    checksums: Annotated[
+        Path | None,
+        typer.Option(help="SHA-256 that the originals must have, a list as of sha256sum."),
+    ] = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Fetch the public originals of the paper's meshes; put them in place as the paper has them.
+
+    Repeated, it goes on where it broke off, and checks what is there.
+    """
+    from chamfer_morph.cli.mesh_fetch import fetch_meshes
+
+    fetched = fetch_meshes(to, meshes or None, place=place, checksums=checksums, quiet=quiet)
+    print_result(
+        {"folder": str(to), "meshes": fetched}, lambda: _print_fetched(fetched), as_json=as_json
+    )
+
+
+def _print_fetched(meshes: list[FetchedMesh]) -> None:
+    """A line a mesh: where it is from, and whether it is the paper's."""
+    from chamfer_morph.cli.tables import print_table
+
+    is_papers = {True: "no, stands in", False: "yes", None: ""}
+    rows = [
+        (
+            mesh.name,
+            mesh.original or mesh.origin,
+            mesh.sha256,
+            mesh.checked,
+            is_papers[mesh.stands_in],
+        )
+        for mesh in meshes
+    ]
+    print_table(("mesh", "from", "SHA-256 of the original", "", "the paper's"), rows)
 
 
 @app.command()

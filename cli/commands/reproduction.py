@@ -41,6 +41,9 @@ def reproduce(
     meshes: Annotated[
         Path, typer.Option(envvar="MORPH_MESHES", help="Folder of the paper's meshes.")
     ] = Path("meshes"),
+    fetch: Annotated[
+        bool, typer.Option("--fetch", help="First fetch the meshes that are missing there.")
+    ] = False,
     server: Annotated[
         str | None, typer.Option(help="Have the service at this address compute the runs.")
     ] = None,
@@ -52,7 +55,7 @@ def reproduce(
 
     What has been computed is kept and used again; an interrupted command goes on when repeated.
     """
-    from chamfer_morph.reproduction.meshes import MeshFolder
+    from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
     from chamfer_morph.reproduction.registry import runs_of, select
     from chamfer_morph.reproduction.report.writer import write
     from chamfer_morph.reproduction.runs.store import Store
@@ -61,7 +64,12 @@ def reproduce(
         return _print_list(as_json=as_json)
     experiments = select(tables, quick=quick)
     folder, store = MeshFolder(meshes), Store(results)
-    folder.check(name for run in runs_of(experiments) for name in run.shapes)
+    shapes = {name for run in runs_of(experiments) for name in run.shapes}
+    if fetch:
+        from chamfer_morph.cli.mesh_fetch import fetch_meshes
+
+        fetch_meshes(meshes, sorted(shapes & set(ASSETS)), quiet=quiet)
+    folder.check(shapes)
     records = _compute(experiments, store, folder, jobs=jobs, server=server, key=key, quiet=quiet)
     output = write(experiments, records, store)
     failed = [record for record in records.values() if not record.is_complete]
