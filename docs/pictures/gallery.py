@@ -34,11 +34,12 @@ SHOWN = (0, 8, 14, 20, 26, 39)
 """Frames of the sheet."""
 
 SIZE = (240, 200)
+QUALITY = 85
 VIEW = look(azimuth=30.0, elevation=20.0)
 
 
 def gallery(folder: Path) -> None:
-    """Compute the morphs, draw `gallery.png` and write `SOURCE-TARGET-PRESET.gif` for each.
+    """Compute the morphs, draw `gallery.webp` and write `SOURCE-TARGET-PRESET.gif` for each.
 
     Results are kept beside them; those that are there already are not computed again.
     """
@@ -53,7 +54,7 @@ def gallery(folder: Path) -> None:
         print(f"{name}: pictures    ")
         rows.append(_row(result, f"{source} to {target}, {preset}"))
         video(result, folder / f"{name}.gif", surface=True, size=(480, 360))
-    Image.fromarray(np.concatenate(rows)).save(folder / "gallery.png")
+    Image.fromarray(np.concatenate(rows)).save(folder / "gallery.webp", quality=QUALITY)
 
 
 def _row(result: Path, title: str) -> np.ndarray:
