@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -111,13 +111,15 @@ def print_settings(config: MorphConfig, *, section: str | None = None) -> None:
         raise ConfigError(
             f"There is no section called {section!r}.", f"Choose one of {', '.join(sections)}."
         )
-    print_table(
-        ("setting", "value", "allowed", "meaning"),
-        (
-            (path, _setting(config, path), _allowed(field), field.description or "")
-            for path, field in fields.items()
-        ),
-    )
+    print_table(("setting", "value", "allowed", "meaning"), settings_rows(config, fields))
+
+
+def settings_rows(
+    config: MorphConfig, fields: Mapping[str, FieldInfo]
+) -> Iterator[tuple[str, str, str, str]]:
+    """Path, value, range and meaning of settings, given by their paths."""
+    for path, field in fields.items():
+        yield path, _setting(config, path), _allowed(field), field.description or ""
 
 
 def _setting(config: MorphConfig, path: str) -> str:

@@ -9,6 +9,8 @@ from chamfer_morph.client.operations import Operations
 class AsyncMorphClient(Operations, AsyncExecution):
     """The service, for use in an event loop.
 
+    For example::
+
         async with AsyncMorphClient() as client:
             job = await client.submit("sphere", "bunny.obj", frames=20)
             async for event in client.events(job.id):
@@ -20,6 +22,8 @@ class AsyncMorphClient(Operations, AsyncExecution):
 
 class MorphClient(Operations, BlockingExecution):
     """The service, blocking.
+
+    For example::
 
         with MorphClient() as client:
             job = client.submit("sphere", "bunny.obj", frames=20)
