@@ -4,6 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 BENCH_STAMP := $(VENV)/.bench-installed
+DOCS_STAMP := $(VENV)/.docs-installed
 WEB    := server/web
 PAGE   := $(WEB)/dist/index.html
 PAGE_SOURCES = $(shell find $(WEB) -path $(WEB)/node_modules -prune -o -path $(WEB)/dist -prune -o -type f -print)
@@ -12,7 +13,8 @@ export PATH := $(abspath $(BIN)):$(PATH)
 CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page test test-browser test-faults test-distribution lint format bench gallery pictures lock clean
+.PHONY: help install demo page site test test-browser test-site test-faults test-distribution lint format bench gallery \
+  pictures lock clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 21
@@ -47,6 +49,18 @@ test-browser: install page  ## the web page in headless Chromium, against the re
 	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
 	$(BIN)/python -m pytest -m browser
 
+site: install $(DOCS_STAMP)  ## the documentation as a site, in the folder site; Python 3.11 or newer
+	rm -rf site
+	$(BIN)/python -m docs.site --to site
+
+$(DOCS_STAMP): requirements-docs.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-docs.lock
+	@touch $@
+
+test-site: site  ## its links, and its pages in headless Chromium
+	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
+	$(BIN)/python -m pytest -m site
+
 test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; 10 minutes
 	$(BIN)/python -m pytest -m faults
 
@@ -75,6 +89,8 @@ lock:  ## resolve the versions again (needs uv)
 	  --no-header --upgrade --extra dev -o requirements.lock pyproject.toml
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra bench -c requirements.lock -o requirements-bench.lock pyproject.toml
+	uv pip compile --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
+	  --no-header --upgrade --extra docs -c requirements.lock -o requirements-docs.lock pyproject.toml
 
 gallery: install  ## twelve morphs in GALLERY (the folder gallery): results, a sheet, videos
 	$(BIN)/python -m docs.pictures gallery --to "$(or $(GALLERY),gallery)"
@@ -83,4 +99,4 @@ pictures: install page  ## make the pictures of the documentation again; needs M
 	$(BIN)/python -m docs.pictures --meshes "$(MORPH_MESHES)"
 
 clean:  ## remove .venv and caches
-	rm -rf demo-data $(VENV) $(WEB)/dist $(WEB)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf demo-data site $(VENV) $(WEB)/dist $(WEB)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
