@@ -1,21 +1,17 @@
 """The body at each share of its change: a level set, and the mass that it holds at grid nodes.
 
-Both ends are given by signed distances phi_0 and phi_1. At the share s the body is::
-
-    B(s) = { x : phi_s(x) < c_s },    phi_s = (1 - s) g(phi_0) + s g(phi_1),
-
-with c_s such that its volume is (1 - s) V_0 + s V_1. Distances outside grow like a logarithm,
-g(d) = L log(1 + d / L) for d > 0: a limb grows at an even pace then, instead of at the very end.
+At the share s the body is { x : phi_s(x) < c_s } with c_s such that its volume is
+(1 - s) V_0 + s V_1. Between shapes that have little in common phi is a blend of their signed
+distances (`level_blend`), taken at such a share that equal steps change the body equally.
 
 Where a warp w carries the source's parts to where they belong, both distances go along with it::
 
-    phi_s(x) = (1 - s) g(phi_0(w_s^-1 x)) + s g(phi_1(w_1 w_s^-1 x))
-
-Surface tension rounds the body on its way: phi_s is smoothed by a Gaussian of width 4 s (1 - s) T.
+    phi_s(x) = (1 - s) phi_0(w_s^-1 x) + s phi_1(w_1 w_s^-1 x)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +19,35 @@ import scipy
 from numpy.typing import NDArray
 
 from morph_engine.flow.carrier import REFINEMENT, Carrier
+from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
 from morph_engine.flow.warp import Warp
 from morph_engine.mpm import Grid
 
-Field = NDArray[np.float32]
+THREAD = 0.3
+"""Smoothed indicator below which the body is a thread thinner than some 0.6 grid cells."""
+
+LEAST_PIECE = 100
+"""Lattice points of the smallest separate piece of the body that is kept: some 40 particles."""
+
+NEAR = 2.0
+"""Where the surface of the body is looked for first: levels of this size [dx]."""
+
+FAR = 1e3
+"""Level that stands for all that is far outside [dx]."""
+
+LEAST_SLOPE = 0.3
+"""Slopes of the level below this do not tell how far its surface is."""
+
+SAMPLES = 21
+"""Shares at which the change of the body is measured."""
+
+LEAST_CHANGE = 0.05
+"""What the body counts as changed over the whole of its way, whatever it does."""
+
+SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
+"""Quadratic B-spline of a grid cell's width at the points of the fine lattice."""
+
+Box = tuple[slice, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +55,8 @@ class Body:
     """One state of the body.
 
     Attributes:
-        level: phi_s - c_s on the fine lattice [dx], shape [m, m, m]; negative inside.
+        level: Signed distance to its surface on the fine lattice [dx], shape [m, m, m]; exact near
+            the surface, and leading back to it from everywhere outside.
         mass: What a node shall hold, over what a node deep inside holds at the source's density,
             shape [r, r, r].
     """
@@ -73,64 +95,73 @@ class BodyPath:
         tension: float = 0.0,
         warp: Warp | None = None,
     ) -> None:
-        self._ends = [_compressed(distance, reach) for distance in (source, target)]
+        self._step = grid.dx / REFINEMENT
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
         self._grid = grid
         self._matter = matter
-        self._tension = tension
-        self._carrier = Carrier(warp, self._ends, grid) if warp else None
+        self._box: Box
+        self._blended: Callable[[float], Field]
+        if warp:
+            self._box = (slice(None),) * 3
+            ends = [compressed(distance, reach) for distance in (source, target)]
+            self._blended = _carried(Carrier(warp, ends, grid), tension / self._step)
+        else:
+            self._box = _bounding_box(np.minimum(source, target) < 0, margin=4)
+            first, last = (np.ascontiguousarray(end[self._box]) for end in (source, target))
+            blend = Blend(first, last, self._step, reach=reach, tension=tension)
+            shares = _even_shares(blend.coarser())
+            self._blended = lambda share: blend.at(_interpolated(shares, share))
 
     @property
     def volumes(self) -> tuple[float, float]:
         """Volume of the source and of the target [dx^3]."""
-        cell = (self._grid.dx / REFINEMENT) ** 3
-        return self._inside[0] * cell, self._inside[1] * cell
+        return self._inside[0] * self._step**3, self._inside[1] * self._step**3
 
     def at(self, share: float) -> Body:
         """The body after a share of its change, between 0 and 1."""
-        if self._carrier:
-            level = self._carrier.blended(share)
-        else:
-            first, last = self._ends
-            level = (1 - np.float32(share)) * first + np.float32(share) * last
-        level = self._rounded(level, 4 * share * (1 - share) * self._tension)
-        count = round((1 - share) * self._inside[0] + share * self._inside[1])
-        level -= _quantile(level, count)
+        level = self._blended(share)
+        level -= _quantile(level, round((1 - share) * self._inside[0] + share * self._inside[1]))
         if 0 < share < 1:
-            level = self._without_threads(level)
-        return Body(level, self._mass(*self._smoothed(level)))
+            level = _without_pieces(self._without_threads(self._as_distance(level)))
+        level = self._leading_back(level)
+        whole = np.full((REFINEMENT * (self._grid.resolution - 1) + 1,) * 3, FAR, np.float32)
+        whole[self._box] = level
+        return Body(whole, self._mass(*self._smoothed(whole)))
 
-    def _rounded(self, level: Field, width: float) -> Field:
-        """Smooth the level by a Gaussian of some width [dx], where the surface can be."""
-        if not width:
-            return level
-        step = self._grid.dx / REFINEMENT
-        level = np.minimum(level, np.float32(FARTHEST))
-        box = _bounding_box(level < FARTHEST)
-        level[box] = scipy.ndimage.gaussian_filter(level[box], width / step, mode="nearest")
-        return level
+    def _as_distance(self, level: Field) -> Field:
+        """Divide the level by its slope."""
+        slope = np.sqrt(sum(along**2 for along in np.gradient(level, self._step)))
+        distance: Field = level / np.maximum(slope, np.float32(LEAST_SLOPE))
+        return distance
 
     def _without_threads(self, level: Field) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
         indicator, box = self._smoothed(level)
         kept = scipy.ndimage.binary_dilation(indicator > THREAD, iterations=REFINEMENT + 1)
-        if not np.any((level[box] < 0) & ~kept):
-            return level
-        step = np.float32(self._grid.dx / REFINEMENT)
-        away = step * scipy.ndimage.distance_transform_edt(~kept).astype(np.float32)
-        level[box] = np.where(kept, level[box], np.maximum(level[box], away))
+        level[box] = np.where(kept, level[box], np.maximum(level[box], self._step))
         return level
 
-    def _smoothed(self, level: Field) -> tuple[Field, tuple[slice, ...]]:
+    def _leading_back(self, level: Field) -> Field:
+        """The distance to the body's nodes in place of the level, but for those near its surface.
+
+        Blended levels have local minima outside, where particles left behind would stay.
+        """
+        outside = level[::REFINEMENT, ::REFINEMENT, ::REFINEMENT] >= 0
+        distance = scipy.ndimage.distance_transform_edt(outside).astype(np.float32)
+        finer = np.divide(level.shape, distance.shape)
+        cells = scipy.ndimage.zoom(distance, finer, order=1)
+        dx = np.float32(self._grid.dx)
+        return np.where(cells > 1.5, dx * cells, np.minimum(level, 1.5 * dx))
+
+    def _smoothed(self, level: Field) -> tuple[Field, Box]:
         """Indicator of the body as quadratic B-splines see it, in a box, and the box."""
-        box = _bounding_box(level < self._grid.dx)
-        step = self._grid.dx / REFINEMENT
-        indicator = np.clip(0.5 - level[box] / step, 0, 1)
+        box = _bounding_box(level < self._grid.dx, margin=1)
+        indicator = np.clip(0.5 - level[box] / self._step, 0, 1)
         for axis in range(3):
             indicator = scipy.ndimage.convolve1d(indicator, SPLINE, axis=axis, mode="constant")
         return indicator, box
 
-    def _mass(self, indicator: Field, box: tuple[slice, ...]) -> Field:
+    def _mass(self, indicator: Field, box: Box) -> Field:
         """The matter at nodes, all of it."""
         mass = np.zeros((self._grid.resolution,) * 3, np.float32)
         nodes = indicator[::REFINEMENT, ::REFINEMENT, ::REFINEMENT]
@@ -142,24 +173,42 @@ class BodyPath:
         return mass * np.float32(self._matter / mass.sum(dtype=np.float64))
 
 
-THREAD = 0.3
-"""Smoothed indicator below which the body is a thread thinner than some 0.6 grid cells."""
+def _carried(carrier: Carrier, width: float) -> Callable[[float], Field]:
+    """Levels that a carrier blends, rounded half-way by a Gaussian of some width [steps]."""
 
-FARTHEST = 6.0
-"""Levels beyond this do not tell where a smooth body ends [dx]."""
+    def blended(share: float) -> Field:
+        level = carrier.blended(share)
+        return rounded(level, 4 * share * (1 - share) * width) if width else level
 
-NEAR = 2.0
-"""Where the surface of the body is looked for first: levels of this size [dx]."""
-
-SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
-"""Quadratic B-spline of a grid cell's width at the points of the fine lattice."""
+    return blended
 
 
-def _compressed(distance: Field, reach: float) -> Field:
-    outside = np.maximum(distance, 0)
-    return np.where(
-        distance > 0, np.float32(reach) * np.log1p(outside / np.float32(reach)), distance
-    )
+def _even_shares(blend: Blend) -> NDArray[np.float64]:
+    """Shares of a blend between which the body changes by equal volumes, evenly spaced."""
+    first, last = blend.inside()
+    shares = np.linspace(0, 1, SAMPLES)
+    change, before = np.zeros(SAMPLES), blend.at(0.0) < 0
+    for i, share in enumerate(shares[1:], start=1):
+        level = blend.at(share)
+        inside = level < _quantile(level, round((1 - share) * first + share * last))
+        change[i] = np.count_nonzero(inside != before)
+        before = inside
+    changed = np.cumsum(change) + LEAST_CHANGE * max(change.sum(), 1) * shares
+    even: NDArray[np.float64] = np.interp(shares * changed[-1], changed, shares)
+    return even
+
+
+def _interpolated(shares: NDArray[np.float64], share: float) -> float:
+    return float(np.interp(share, np.linspace(0, 1, len(shares)), shares))
+
+
+def _without_pieces(level: Field) -> Field:
+    """Give up separate pieces that hold but a few particles."""
+    pieces, count = scipy.ndimage.label(level < 0)
+    if count > 1:
+        small = np.bincount(pieces.ravel()) < LEAST_PIECE
+        level = np.where(small[pieces], np.maximum(level, -level), level)
+    return level
 
 
 def _quantile(level: Field, count: int) -> np.float32:
@@ -171,12 +220,13 @@ def _quantile(level: Field, count: int) -> np.float32:
     return np.partition(near, position)[position]
 
 
-def _bounding_box(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
-    """The least box of whole grid cells with margins around what is marked."""
+def _bounding_box(mask: NDArray[np.bool_], *, margin: int) -> Box:
+    """The least box of whole grid cells, with so many more around what is marked."""
     box = []
-    for axis in range(3):
+    for axis, size in enumerate(mask.shape):
         others = tuple(a for a in range(3) if a != axis)
         marked = np.flatnonzero(mask.any(axis=others))
-        first = max(marked[0] - REFINEMENT, 0) // REFINEMENT * REFINEMENT
-        box.append(slice(int(first), int(marked[-1]) + REFINEMENT + 1))
+        first = max(marked[0] // REFINEMENT - margin, 0) * REFINEMENT
+        last = min(-(-marked[-1] // REFINEMENT) + margin, (size - 1) // REFINEMENT) * REFINEMENT
+        box.append(slice(int(first), int(last) + 1))
     return tuple(box)

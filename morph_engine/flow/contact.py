@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import taichi as ti
+from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.flow.carrier import REFINEMENT
@@ -18,11 +19,20 @@ LayerArrays: Any = ti.types.argpack(**dict.fromkeys(("x", "v", "C", "F"), ti.typ
 DEEPEST = 0.3
 """What the surface presses a particle back in a time step, at most [cells]."""
 
-SETTLING = 0.15
+LONGEST_MOVE = 0.15
 """What a particle is moved by its neighbours in a round, at most [h]."""
 
 RELAXATION = 0.25
 """Share of an overlap that each of two particles makes room for in a round."""
+
+REACH = 2.0
+"""How far particles feel a gap between others [h]."""
+
+FILLING = 0.25
+"""What a particle moves in a round where all of one side is missing, some [h]."""
+
+UNEVEN = 0.2
+"""Imbalance of its neighbours that a particle bears, where a missing lattice plane makes 0.5."""
 
 
 @ti.func
@@ -92,7 +102,8 @@ def prepare(
         velocity = momentum * layer.v[p] + (1 - momentum) * guidance[p]
         phi, gradient = level_and_gradient(level, next_level, share, layer.x[p], grid)
         slope = gradient.norm()
-        excess = ti.min(firmness * (phi + depth) / ti.max(slope, 0.1), DEEPEST * grid.dx)
+        deepest = ti.min(4 * firmness, 1.0) * DEEPEST * grid.dx
+        excess = ti.min(firmness * (phi + depth) / ti.max(slope, 0.1), deepest)
         if excess > 0:
             velocity -= (excess / dt / ti.max(slope, SMALLEST)) * gradient
         layer.v[p] = velocity
@@ -109,7 +120,7 @@ def blend(out: ti.types.ndarray(), a: ti.types.ndarray(), b: ti.types.ndarray(),
 
 
 class Settling:
-    """Pairs of particles that are too close move apart, a little at a time.
+    """Particles that are too close move apart, and fill gaps, a little at a time.
 
     The grid keeps density even at the scale of its cells; this keeps it so below.
 
@@ -122,28 +133,49 @@ class Settling:
     def __init__(self, count: int, grid: Grid, spacing: float) -> None:
         device = backend.active()
         self.spacing: float = spacing
+        self.grid = grid
         self.cells: int = math.ceil((grid.resolution - 1) * grid.dx / spacing)
         self.origin: float = grid.origin
         self._first = device.integers(self.cells**3 + 1)
         self._cell, self._order = device.integers(count), device.integers(count)
         self._move = device.vectors(count)
 
-    def settle(self, x: Any, moved: Any, *, distance: float, most: float) -> None:
-        """Move particles closer than `distance` apart, in place.
+    def settle(
+        self, x: Any, moved: Any, body: Any, *, distance: float, spacing: float, most: float
+    ) -> None:
+        """Move particles closer than `distance` apart, and those at gaps into them, in place.
+
+        Where all together would be moved more than `most`, those that are to move least stay.
 
         Args:
             x: Positions [dx], shape [n, 3].
             moved: What each is moved is added to this [dx], shape [n].
+            body: Two levels and the share between them, see `level_and_gradient`.
             distance: Below which particles make room [dx].
+            spacing: Lattice spacing of the particles by now [dx].
             most: What they are moved on average, at most [dx].
         """
         edge, cells, first, order = self.spacing, self.cells, self._first, self._order
         list_cells(x, first, self._cell, order, self.origin, edge, cells)
-        push(x, self._move, first, order, self.origin, edge, cells, distance)
-        longest = SETTLING * self.spacing
+        push(
+            x, self._move, first, order, *body,
+            edge, cells, distance, spacing, self.grid,
+        )  # fmt: skip
+        longest = LONGEST_MOVE * self.spacing
         lengths = np.minimum(np.linalg.norm(self._move.to_numpy(), axis=1), longest)
-        part = min(1.0, most / max(float(lengths.mean(dtype=np.float64)), SMALLEST))
-        shift(x, self._move, moved, longest, part)
+        shift(x, self._move, moved, longest, _threshold(lengths.astype(np.float64), most))
+
+
+def _threshold(lengths: NDArray[np.float64], most: float) -> float:
+    """What to take off all lengths, none of which gets negative, so that their mean is `most`."""
+    descending = -np.sort(-lengths)
+    total = np.cumsum(descending)
+    count = np.arange(1, len(lengths) + 1)
+    enough = np.flatnonzero(total - count * descending > most * len(lengths))
+    if not len(enough):  # at the last of them nothing is taken off yet
+        return max(0.0, float(total[-1] / len(lengths) - most))
+    last = enough[0] - 1
+    return float((total[last] - most * len(lengths)) / count[last])
 
 
 @ti.func
@@ -187,27 +219,44 @@ def push(
     move: ti.types.ndarray(),
     first: ti.types.ndarray(),
     order: ti.types.ndarray(),
-    origin: float,
+    level: ti.types.ndarray(),
+    next_level: ti.types.ndarray(),
+    share: float,
     edge: float,
     cells: int,
     distance: float,
+    spacing: float,
+    grid: ti.template(),
 ):
-    """How each particle makes room for those closer than `distance`."""
+    """How each particle makes room for those closer than `distance`, and fills gaps.
+
+    Neighbours push with w(r) = (1 - r / R)^2. Around a particle in an even fill that sums to zero;
+    beside a gap it points into it, down the gradient of concentration (Lind et al. 2012). What is
+    outside the body counts as filled: half a space at the distance d pushes with
+    2 pi (R / h)^3 / 3 (u^4 / 4 - u^5 / 5), u = 1 - d / R.
+    """
     for p in range(x.shape[0]):
-        here = x[p]
-        low = cell_of(here - distance, origin, edge, cells)
-        high = cell_of(here + distance, origin, edge, cells)
-        total = ti.Vector.zero(float, 3)
+        here, reach = x[p], REACH * spacing
+        low = cell_of(here - reach, grid.origin, edge, cells)
+        high = cell_of(here + reach, grid.origin, edge, cells)
+        apart, uneven = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
                 row = (i * cells + j) * cells
                 for slot in range(first[row + low.z], first[row + high.z + 1]):
-                    apart = here - x[order[slot]]
-                    squared = apart.norm_sqr()
-                    if 0 < squared and squared < distance * distance:
+                    away = here - x[order[slot]]
+                    squared = away.norm_sqr()
+                    if 0 < squared and squared < reach * reach:
                         length = ti.sqrt(squared)
-                        total += (RELAXATION * (distance - length) / length) * apart
-        move[p] = total
+                        uneven += ((1 - length / reach) ** 2 / length) * away
+                        apart += (RELAXATION * ti.max(distance - length, 0.0) / length) * away
+        phi, gradient = level_and_gradient(level, next_level, share, here, grid)
+        slope = gradient.norm()
+        u = ti.math.clamp(1 + phi / (reach * ti.max(slope, 0.1)), 0.0, 1.0)
+        wall = ti.static(2 * math.pi * REACH**3 / 3) * (u**4 / 4 - u**5 / 5)
+        uneven -= (wall / ti.max(slope, SMALLEST)) * gradient
+        beyond = ti.max(1 - UNEVEN / ti.max(uneven.norm(), SMALLEST), 0.0)
+        move[p] = apart + FILLING * spacing * beyond * uneven
 
 
 @ti.kernel
@@ -216,11 +265,11 @@ def shift(
     move: ti.types.ndarray(),
     moved: ti.types.ndarray(),
     longest: float,
-    part: float,
+    less: float,
 ):
-    """Move particles by part of their moves, of which none is longer than `longest`; add up."""
+    """Move particles by their moves, cut to `longest` and then shortened by `less`; add up."""
     for p in range(x.shape[0]):
         length = move[p].norm()
-        shorter = part * ti.min(length, longest)
+        shorter = ti.max(ti.min(length, longest) - less, 0.0)
         x[p] += (shorter / ti.max(length, SMALLEST)) * move[p]
         moved[p] += shorter

@@ -35,14 +35,15 @@ threadpoolctl: Any = lazy.load("threadpoolctl")
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
 
-COURANT = 0.5
+COURANT = 0.8
 """What an elastic shear wave travels in a time step, at most [cells]."""
 
 CELLS_PER_STEP = 0.3
 """What the fastest particle shall move in a time step [cells]."""
 
 STEPS = 4
-"""Time steps per frame to which the gain and the firmness of the surface refer."""
+"""Time steps per frame to which the gain and the firmness of the surface refer, and after which
+particles settle."""
 
 LARGEST_DISTORTION = 0.15
 """Geodesic distortion below which two shapes are taken to have like parts."""
@@ -121,7 +122,7 @@ class FlowOptions(MpmOptions):
     settling: Fraction = Field(
         0.02, description="What particles are moved apart in all, at most, over the mean path."
     )
-    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving apart per time step.")
+    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
     rest: float = Field(
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
@@ -363,13 +364,14 @@ class Flow(MpmMethod[FlowOptions]):
             before, after = self._wanted
             self._projection.project(nodes, before, after, simulation.dt, gain=gain)
             simulation.to_particles()
-            self._settle(there.x, share + part * (next_share - share))
+            if (step + 1) * STEPS // steps > step * STEPS // steps:
+                self._settle(there.x, share + part * (next_share - share), (*self._levels, part))
             simulation.layers.reverse()
             if simulation.faults:
                 break
         return simulation.faults
 
-    def _settle(self, x: Any, share: float) -> None:
+    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float]) -> None:
         """Spread particles more evenly than the grid can, by at most their part of the path."""
         options = self.options
         apart = np.interp(
@@ -377,13 +379,15 @@ class Flow(MpmMethod[FlowOptions]):
         )
         first, last = self._path.volumes
         expansion = (1 - share + share * last / first) ** (1 / 3)
-        distance = float(apart * expansion * self.problem.config.spacing)
+        spacing = float(expansion) * self.problem.config.spacing
         allowed = options.settling * self._path_length - self._settled
         for _ in range(options.rounds):
             left = allowed - self._mean_move()
             if left <= 0:
                 break
-            self._settling.settle(x, self._moved, distance=distance, most=left)
+            self._settling.settle(
+                x, self._moved, body, distance=float(apart) * spacing, spacing=spacing, most=left
+            )
 
     def _mean_move(self) -> float:
         """What particles were moved in this frame beside the flow, on average [dx]."""

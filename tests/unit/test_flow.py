@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import scipy
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -132,19 +133,79 @@ def test_the_pressure_takes_out_a_flow_through_the_surface() -> None:
     assert np.abs(nodes.to_numpy()[mass > 0.99, :3]).max() < 0.15
 
 
-def test_particles_too_close_move_apart_and_others_stay() -> None:
-    """Each of a pair makes room by as much, along the line between them."""
+def settled(x: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """Particles of spacing 0.5 after one round of settling in a wide body, and what they moved."""
     backend.start("cpu", threads=2)
-    x = np.float32([[0, 0, 0], [0.2, 0, 0], [3, 3, 3], [3, 3.6, 3]])
     device = backend.active()
-    positions, moved = device.upload(x), device.scalars(len(x))
+    positions, moved = device.upload(np.float32(x)), device.scalars(len(x))
+    deep = device.upload(np.full(len(fine_axis(GRID)) ** 3, -5.0))
     settling = Settling(len(x), GRID, spacing=0.5)
-    settling.settle(positions, moved, distance=0.4, most=1.0)
-    after = positions.to_numpy()
-    assert after[0] == pytest.approx([-0.05, 0, 0], abs=1e-6)
-    assert after[1] == pytest.approx([0.25, 0, 0], abs=1e-6)
-    assert (after[2:] == x[2:]).all()
-    assert moved.to_numpy() == pytest.approx([0.05, 0.05, 0, 0], abs=1e-6)
+    settling.settle(positions, moved, (deep, deep, 0.0), distance=0.4, spacing=0.5, most=most)
+    return positions.to_numpy(), moved.to_numpy()
+
+
+def cubic_lattice(spacing: float) -> np.ndarray:
+    """Points of a cube."""
+    axis = np.arange(-3, 3.01, spacing)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def test_particles_too_close_move_apart_evenly() -> None:
+    """Each of a pair makes room by as much, along the line between them; who is alone stays."""
+    x = np.array([[0, 0, 0], [0.2, 0, 0], [3, 3, 3]])
+    after, moved = settled(x, most=1.0)
+    assert after[1, 0] - after[0, 0] > 0.3
+    assert after[0] + after[1] == pytest.approx(x[0] + x[1], abs=1e-6)
+    assert (after[2] == x[2]).all()
+    assert moved == pytest.approx(np.linalg.norm(after - x, axis=1), abs=1e-6)
+
+
+def test_particles_fill_a_gap_and_an_even_fill_stays() -> None:
+    """Those beside a missing plane move into it; those deep in the lattice do not move."""
+    x = cubic_lattice(0.5)
+    x = x[np.abs(x[:, 0]) > 0.1]
+    after, moved = settled(x, most=1.0)
+    inner = (np.abs(x[:, 1:]) < 1.6).all(axis=1)
+    beside = inner & (np.abs(x[:, 0]) < 0.6)
+    assert (np.abs(after[beside, 0]) < np.abs(x[beside, 0]) - 0.02).all()
+    assert moved[inner & (np.abs(np.abs(x[:, 0]) - 1.5) < 0.1)].max() == 0
+
+
+def test_who_needs_it_most_moves_where_not_all_may() -> None:
+    """The mean of the moves is what it may be, and it is made of the longest ones."""
+    x = cubic_lattice(0.5)
+    x = x[np.abs(x[:, 0]) > 0.1]
+    x[0] = x[1] + 0.1
+    _, free = settled(x, most=1.0)
+    _, moved = settled(x, most=0.1 * float(free.mean()))
+    assert moved.mean() == pytest.approx(0.1 * free.mean(), rel=1e-3)
+    assert free[moved > 0].min() > free[moved == 0].max()
+
+
+def test_a_limb_goes_from_its_tip_and_none_of_it_is_cut_off() -> None:
+    """A rod that a ball takes in gets shorter and keeps half its section, all in one piece."""
+    axis = fine_axis(GRID)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    ball = np.sqrt(x**2 + y**2 + z**2) - 3
+    rod = np.maximum(np.sqrt(y**2 + z**2) - 0.9, np.abs(x - 3.5) - 3.5)
+    source = np.minimum(ball, rod).astype(np.float32)
+    path = BodyPath(source, ball.astype(np.float32), GRID, reach=4, matter=130, tension=1.0)
+    bodies = [path.at(share).level < 0 for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    assert all(scipy.ndimage.label(body)[1] == 1 for body in bodies)
+    lengths = [x[body].max() for body in bodies]
+    assert lengths == sorted(lengths, reverse=True)
+    assert lengths[2] > 5
+    sections = [np.count_nonzero(body & (x == 4)) for body in bodies]
+    assert sections[2] > 0.45 * sections[0]
+
+
+def test_the_level_leads_back_to_the_body_from_everywhere_near() -> None:
+    """No local minimum outside, between two shapes of which one has a far part."""
+    ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 1)
+    path = BodyPath(np.minimum(ball, other), ball, GRID, reach=4, matter=65, tension=1.0)
+    level = path.at(0.9).level
+    lowest = scipy.ndimage.minimum_filter(level, size=3)
+    assert not ((level == lowest) & (level > 0.1) & (level < 6)).any()
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.5, 1.0])
