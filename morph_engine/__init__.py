@@ -4,8 +4,8 @@
     >>> config = configure("fast", {"frames": 3, "sampling.points_per_cell_edge": 2})
     >>> for frame in morph("sphere", "star", config):
     ...     print(f"frame {frame.index}: {frame.metrics['two_sided']:.1f} dx from the target")
-    frame 0: 1.2 dx from the target
-    frame 1: 0.5 dx from the target
+    frame 0: 1.0 dx from the target
+    frame 1: 0.4 dx from the target
     frame 2: 0.4 dx from the target
 
 Names are imported when they are first used, and Taichi when a run starts.
