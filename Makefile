@@ -54,6 +54,7 @@ site: install $(DOCS_STAMP)  ## the documentation as a site, in the folder site;
 	$(BIN)/python -m docs.site --to site
 
 $(DOCS_STAMP): requirements-docs.lock $(STAMP)
+	@$(BIN)/python -c 'import sys; sys.version_info >= (3, 11) or sys.exit("The site needs Python 3.11 or newer: make clean, then make site PYTHON=python3.12.")'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-docs.lock
 	@touch $@
 
