@@ -4,9 +4,10 @@ At the share s the body is { x : phi_s(x) < c_s } with c_s such that its volume 
 (1 - s) V_0 + s V_1. Between shapes that have little in common phi is a blend of their signed
 distances (`level_blend`), taken at such a share that equal steps change the body equally.
 
-Where a warp w carries the source's parts to where they belong, both distances go along with it::
+Where a warp w carries the source's parts to where they belong, both distances go along with it,
+compressed outside as there (g)::
 
-    phi_s(x) = (1 - s) phi_0(w_s^-1 x) + s phi_1(w_1 w_s^-1 x)
+    phi_s(x) = (1 - s) g(phi_0(w_s^-1 x)) + s g(phi_1(w_1 w_s^-1 x))
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from morph_engine.flow.carrier import REFINEMENT, Carrier
+from morph_engine.flow.carrier import FAR, REFINEMENT, Carrier
 from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
 from morph_engine.flow.warp import Warp
 from morph_engine.mpm import Grid
@@ -31,9 +32,6 @@ LEAST_PIECE = 100
 
 NEAR = 2.0
 """Where the surface of the body is looked for first: levels of this size [dx]."""
-
-FAR = 1e3
-"""Level that stands for all that is far outside [dx]."""
 
 LEAST_SLOPE = 0.3
 """Slopes of the level below this do not tell how far its surface is."""
@@ -55,8 +53,8 @@ class Body:
     """One state of the body.
 
     Attributes:
-        level: Signed distance to its surface on the fine lattice [dx], shape [m, m, m]; exact near
-            the surface, and leading back to it from everywhere outside.
+        level: Signed distance to its surface on the fine lattice [dx], shape [m, m, m]: to first
+            order near the surface, and to the nearest node inside from farther out.
         mass: What a node shall hold, over what a node deep inside holds at the source's density,
             shape [r, r, r].
     """

@@ -17,7 +17,8 @@ LayerArrays: Any = ti.types.argpack(**dict.fromkeys(("x", "v", "C", "F"), ti.typ
 """Positions, velocities, affine velocities and deformation gradients of particles."""
 
 DEEPEST = 0.3
-"""What the surface presses a particle back in a time step, at most [cells]."""
+"""What the surface presses a particle back in a time step, at most [cells]; less where a frame has
+so many steps that a particle would be thrown."""
 
 LONGEST_MOVE = 0.15
 """What a particle is moved by its neighbours in a round, at most [h]."""
@@ -133,9 +134,8 @@ class Settling:
     def __init__(self, count: int, grid: Grid, spacing: float) -> None:
         device = backend.active()
         self.spacing: float = spacing
-        self.grid = grid
+        self.grid: Grid = grid
         self.cells: int = math.ceil((grid.resolution - 1) * grid.dx / spacing)
-        self.origin: float = grid.origin
         self._first = device.integers(self.cells**3 + 1)
         self._cell, self._order = device.integers(count), device.integers(count)
         self._move = device.vectors(count)
@@ -156,7 +156,7 @@ class Settling:
             most: What they are moved on average, at most [dx].
         """
         edge, cells, first, order = self.spacing, self.cells, self._first, self._order
-        list_cells(x, first, self._cell, order, self.origin, edge, cells)
+        list_cells(x, first, self._cell, order, self.grid.origin, edge, cells)
         push(
             x, self._move, first, order, *body,
             edge, cells, distance, spacing, self.grid,

@@ -120,7 +120,7 @@ class FlowOptions(MpmOptions):
     )
     final_separation: Fraction = Field(0.92, description="Likewise when the shape comes to rest.")
     settling: Fraction = Field(
-        0.02, description="What particles are moved apart in all, at most, over the mean path."
+        0.02, description="What settling moves particles in all, at most, over the mean path."
     )
     rounds: int = Field(2, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
     rest: float = Field(

@@ -83,7 +83,7 @@ def test_the_morph_approaches_its_target(unbroken):
         last = result.metrics["two_sided"][-1]
         source, target = result.run.source_points, result.target_points
         first = chamfer_metrics(source, target, spacing=result.config.spacing)["two_sided"]
-    assert last < 0.3 * first
+    assert last < 0.26 * first
     assert document["escaped"] == 0 and document["det_f_min"] > 0
 
 
