@@ -1,7 +1,9 @@
 """A morph from beginning to end: shapes to particles, frame after frame, to a result file.
 
-for frame in morph("sphere", "star"):
-print(frame.index, frame.metrics["two_sided"])
+For example::
+
+    for frame in morph("sphere", "star"):
+        print(frame.index, frame.metrics["two_sided"])
 """
 
 from __future__ import annotations
