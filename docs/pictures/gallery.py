@@ -52,12 +52,12 @@ def gallery(folder: Path) -> None:
             for frame in morph(source, target, config, out=result, overwrite=True):
                 print(f"{name}: frame {frame.index}", end="\r", flush=True)
         print(f"{name}: pictures    ")
-        rows.append(_row(result, f"{source} to {target}, {preset}"))
+        rows.append(row_of_surfaces(result, f"{source} to {target}, {preset}"))
         video(result, folder / f"{name}.gif", surface=True, size=(480, 360))
     Image.fromarray(np.concatenate(rows)).save(folder / "gallery.webp", quality=QUALITY)
 
 
-def _row(result: Path, title: str) -> np.ndarray:
+def row_of_surfaces(result: Path, title: str) -> np.ndarray:
     """Surfaces of some frames beside each other; colours stay with the matter."""
     with Trajectory(result) as trajectory:
         selection = Selection(trajectory, SHOWN, surface=True, units="grid")

@@ -149,7 +149,8 @@ class BodyPath:
         finer = np.divide(level.shape, distance.shape)
         cells = scipy.ndimage.zoom(distance, finer, order=1)
         dx = np.float32(self._grid.dx)
-        return np.where(cells > 1.5, dx * cells, np.minimum(level, 1.5 * dx))
+        far = (cells > 1.5) & (level > 0)
+        return np.where(far, dx * cells, np.minimum(level, 1.5 * dx))
 
     def _smoothed(self, level: Field) -> tuple[Field, Box]:
         """Indicator of the body as quadratic B-splines see it, in a box, and the box."""

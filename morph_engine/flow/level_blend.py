@@ -5,8 +5,9 @@ At the share s the level is (1 - s) f(phi_0) + s f(phi_1), of the signed distanc
     f(d) = L log(1 + d / L)             outside: far parts come and go at an even pace
     f(d) = d - K (1 - exp(-d^2 / w^2))  inside: a thin limb counts nearly as much as a thick one
 
-so that a limb grows from its root, and shrinks back to it, at its own thickness. Surface tension
-rounds the level by a Gaussian of width 4 s (1 - s) T, but leaves the limbs of the source alone.
+so that a limb grows from its root, and shrinks back to it, at its own thickness (`limbs`). Surface
+tension rounds the level by a Gaussian of width 4 s (1 - s) T, but leaves the limbs of the source
+alone.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+
+from morph_engine.flow.limbs import limbs_of, waiting
 
 Field = NDArray[np.float32]
 
@@ -24,7 +27,7 @@ SKIN = 1.6
 """w: depth at which 63 % of that is reached [lattice steps]."""
 
 PURE = 0.025
-"""Share of the way, from either end, before which the inside counts less."""
+"""Share of the way, from either end, before which limbs and their order count less."""
 
 FARTHEST = 6.0
 """Levels beyond this do not tell where a smooth body ends [dx]."""
@@ -39,10 +42,18 @@ class Blend:
         step: Lattice step [dx].
         reach: L, beyond which distances outside are compressed [dx].
         tension: T, width of the rounding half-way [dx].
+        raised: What the level is raised by between the ends, if that is known.
     """
 
     def __init__(
-        self, source: Field, target: Field, step: float, *, reach: float, tension: float
+        self,
+        source: Field,
+        target: Field,
+        step: float,
+        *,
+        reach: float,
+        tension: float,
+        raised: Field | None = None,
     ) -> None:
         self.step = step
         self.tension = tension
@@ -51,26 +62,39 @@ class Blend:
         self._outer = [compressed(distance, reach) for distance in self._distances]
         depths = [np.minimum(distance, 0) / (SKIN * step) for distance in self._distances]
         self._inner = [np.expm1(-np.square(depth)) for depth in depths]
-        self._limbs = _limbs(source, step, tension) if tension else None
+        if raised is None:
+            first, last = self._ends(1.0)
+            raised = waiting(source, target, first, last, step)
+        self._raised = raised
+        self._limbs = limbs_of(source, step, tension) if tension else None
 
     def at(self, share: float) -> Field:
         """The level after a share of the way; its zero set is not at the scheduled volume yet."""
         s = np.float32(share)
-        inside = np.float32(LIMB * min(1.0, share * (1 - share) / PURE))
-        first, last = (
-            outer + inside * inner for outer, inner in zip(self._outer, self._inner, strict=True)
-        )
-        level = ((1 - s) * first + s * last).astype(np.float32)
+        between = min(1.0, share * (1 - share) / PURE)
+        first, last = self._ends(between)
+        level = ((1 - s) * first + s * last + np.float32(between) * self._raised).astype(np.float32)
         if self._limbs is None or not 0 < share < 1:
             return level
         width = 4 * share * (1 - share) * self.tension
         smooth = rounded(level, width / self.step)
         return np.where(self._limbs, np.minimum(smooth, level), smooth)
 
+    def _ends(self, limbs: float) -> tuple[Field, Field]:
+        """f of both distances, with K over its full size."""
+        weight = np.float32(limbs * LIMB)
+        first: Field = self._outer[0] + weight * self._inner[0]
+        last: Field = self._outer[1] + weight * self._inner[1]
+        return first, last
+
     def coarser(self) -> Blend:
         """The same between shapes given at every second point of the lattice."""
-        source, target = (np.ascontiguousarray(d[::2, ::2, ::2]) for d in self._distances)
-        return Blend(source, target, 2 * self.step, reach=self._reach, tension=self.tension)
+        source, target, raised = (
+            np.ascontiguousarray(field[::2, ::2, ::2]) for field in (*self._distances, self._raised)
+        )
+        return Blend(
+            source, target, 2 * self.step, reach=self._reach, tension=self.tension, raised=raised
+        )
 
     def inside(self) -> tuple[int, int]:
         """Number of lattice points inside either shape."""
@@ -91,13 +115,3 @@ def compressed(distance: Field, reach: float) -> Field:
     return np.where(
         distance > 0, np.float32(reach) * np.log1p(outside / np.float32(reach)), distance
     )
-
-
-def _limbs(distance: Field, step: float, thickness: float) -> NDArray[np.bool_]:
-    """Points of a shape far from all balls of some radius that fit into it [dx]."""
-    core = distance < -thickness
-    if not core.any():
-        return distance < 0
-    from_core = step * scipy.ndimage.distance_transform_edt(~core)
-    limbs: NDArray[np.bool_] = (distance < 0) & (from_core > 1.5 * thickness)
-    return limbs

@@ -364,15 +364,20 @@ class Flow(MpmMethod[FlowOptions]):
             before, after = self._wanted
             self._projection.project(nodes, before, after, simulation.dt, gain=gain)
             simulation.to_particles()
-            if (step + 1) * STEPS // steps > step * STEPS // steps:
-                self._settle(there.x, share + part * (next_share - share), (*self._levels, part))
+            quarter = (step + 1) * STEPS // steps
+            if quarter > step * STEPS // steps:
+                now = share + part * (next_share - share)
+                self._settle(there.x, now, (*self._levels, part), STEPS + 1 - quarter)
             simulation.layers.reverse()
             if simulation.faults:
                 break
         return simulation.faults
 
-    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float]) -> None:
-        """Spread particles more evenly than the grid can, by at most their part of the path."""
+    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], quarters: int) -> None:
+        """Spread particles more evenly than the grid can, by at most their part of the path.
+
+        What may be moved in a frame goes in equal parts to the rounds of the quarters left in it.
+        """
         options = self.options
         apart = np.interp(
             share, (SETTLING_BEGINS, 1), (options.separation, options.final_separation)
@@ -381,8 +386,8 @@ class Flow(MpmMethod[FlowOptions]):
         expansion = (1 - share + share * last / first) ** (1 / 3)
         spacing = float(expansion) * self.problem.config.spacing
         allowed = options.settling * self._path_length - self._settled
-        for _ in range(options.rounds):
-            left = allowed - self._mean_move()
+        for rounds in range(quarters * options.rounds, (quarters - 1) * options.rounds, -1):
+            left = (allowed - self._mean_move()) / rounds
             if left <= 0:
                 break
             self._settling.settle(

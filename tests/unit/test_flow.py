@@ -199,6 +199,21 @@ def test_a_limb_goes_from_its_tip_and_none_of_it_is_cut_off() -> None:
     assert sections[2] > 0.45 * sections[0]
 
 
+@pytest.mark.parametrize("growing", [False, True])
+def test_a_thick_end_is_not_left_by_the_thin_part_that_joins_it(growing: bool) -> None:
+    """A ball on a rod comes and goes with it: the body is in one piece all the way."""
+    axis = fine_axis(GRID)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    ball, end = ball_distance((-3, 0, 0), 3), ball_distance((4, 0, 0), 1.9)
+    rod = np.maximum(np.sqrt(y**2 + z**2) - 0.8, np.abs(x - 1) - 3)
+    joined = np.minimum(np.minimum(ball, end), rod).astype(np.float32)
+    source, target = (ball, joined) if growing else (joined, ball)
+    path = BodyPath(source, target, GRID, reach=4, matter=130, tension=1.0)
+    bodies = [path.at(share).level < 0 for share in np.linspace(0, 1, 41)]
+    assert [scipy.ndimage.label(body)[1] for body in bodies] == [1] * len(bodies)
+    assert sum(bool(body[x > 3].any()) for body in bodies) > 10
+
+
 def test_the_level_leads_back_to_the_body_from_everywhere_near() -> None:
     """No local minimum outside, between two shapes of which one has a far part."""
     ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 1)

@@ -1,0 +1,107 @@
+"""Limbs come from their roots and go from their tips, so that no piece of them is left alone.
+
+The core of two shapes is where both are. A blend (1 - s) a + s b of their levels gives up a point
+of the source at its share s = a / (a - b), and takes one of the target likewise. In these orders a
+thin root may go before its thick limb does, or come after it. So points of the source have to go
+before those nearer to the core do, and points of the target come after them: with t_x = -s_x in
+the source, where the core has -1, and t_x = s_x in the target, where it has 0, x has its turn at
+
+    T_x = max(t_x, min over neighbours y of T_y + |x - y| / pace)
+
+so that what is below any T is connected to the core.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+Field = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+LEAVING, ARRIVING = 25.0, 50.0
+"""How far a limb goes, or comes, over the whole way, at most [dx]."""
+
+LATEST = 0.95
+"""Nothing waits longer than this share of the time that it has left."""
+
+CORNER = 2.0
+"""A limb lies farther from all balls of some radius that fit into its shape [radii]."""
+
+ROOT = 2.5
+"""How far its root reaches from it [radii]."""
+
+
+def limbs_of(distance: Field, step: float, radius: float) -> Mask:
+    """Limbs of a shape, where balls of some radius do not fit, and their roots.
+
+    Args:
+        distance: Signed distance to the shape on a cubic lattice [dx], shape [m, n, k].
+        step: Lattice step [dx].
+        radius: [dx].
+    """
+    inside, core = distance < 0, distance < -radius
+    if not core.any():
+        return inside
+    limbs = inside & (_distance_to(core, step) > CORNER * radius)
+    if not limbs.any():
+        return limbs
+    return inside & (_distance_to(limbs, step) < ROOT * radius)
+
+
+def waiting(source: Field, target: Field, first: Field, last: Field, step: float) -> Field:
+    """What the blend of two levels is raised by, so that limbs are not left by their roots.
+
+    Args:
+        source: Signed distance to the source on a cubic lattice [dx], shape [m, n, k].
+        target: Signed distance to the target.
+        first: Level at the source: below zero in it and nowhere else.
+        last: Level at the target.
+        step: Lattice step [dx].
+    """
+    raised = np.zeros_like(first)
+    both = (source < 0) & (target < 0)
+    core = _largest_piece(both)
+    if not core.any():
+        return raised
+    height = np.abs(first) + np.abs(last)
+    share = np.abs(first) / np.maximum(height, np.float32(1e-6))
+    for shape, turn, least, end, pace in (
+        (source, -share, -1.0, 0.0, LEAVING),
+        (target, share, 0.0, 1.0, ARRIVING),
+    ):
+        turn = np.where(both, np.float32(least), turn)
+        later = _in_turn(turn, shape < 0, core, step / pace)
+        alone = (shape < 0) & ~both & np.isfinite(later)
+        latest = np.minimum(later, turn + LATEST * (end - turn))
+        raised[alone] = (height * (latest - turn))[alone]
+    around = scipy.ndimage.maximum_filter(raised, 5)
+    return np.where((source < 0) | (target < 0), raised, around)
+
+
+def _in_turn(turn: Field, inside: Mask, core: Mask, delay: float) -> Field:
+    """T of the points inside, infinite where the core is not reached; `delay` is of one step."""
+    infinite, later = np.float32(np.inf), np.float32(delay)
+    turn = np.where(inside, turn, infinite)
+    reached = np.where(core, turn, infinite)
+    while True:
+        before = reached.copy()
+        for axis in range(3):
+            here, there = np.moveaxis(reached, axis, 0), np.moveaxis(before, axis, 0)
+            np.minimum(here[1:], there[:-1] + later, out=here[1:])
+            np.minimum(here[:-1], there[1:] + later, out=here[:-1])
+        np.maximum(reached, turn, out=reached)
+        if np.array_equal(reached, before):
+            return reached
+
+
+def _largest_piece(mask: Mask) -> Mask:
+    pieces, count = scipy.ndimage.label(mask)
+    largest: Mask = pieces == (1 + np.argmax(np.bincount(pieces.ravel())[1:]) if count else -1)
+    return largest
+
+
+def _distance_to(mask: Mask, step: float) -> Field:
+    distance: Field = step * scipy.ndimage.distance_transform_edt(~mask)
+    return distance
