@@ -205,8 +205,8 @@ def _frames(
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
     config = record.config
-    source, source_to_grid = _fitted(record.source, config)
-    target, target_to_grid = _fitted(record.target, config)
+    source, source_to_grid = record.fitted("source")
+    target, target_to_grid = record.fitted("target")
     method = kind(
         Problem(
             record.source_points,
@@ -214,8 +214,8 @@ def _frames(
             config,
             source_mesh=source,
             target_mesh=target,
-            source_to_grid=source_to_grid,
-            target_to_grid=target_to_grid,
+            source_to_grid=_matrix(source_to_grid),
+            target_to_grid=_matrix(target_to_grid),
         )
     )
     stopping = EarlyStopping(config)
@@ -375,14 +375,6 @@ def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Sim
     jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
     points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
     return points, similarity
-
-
-def _fitted(shape: Shape, config: MorphConfig) -> tuple[Mesh | None, NDArray[np.float64]]:
-    """The mesh in grid units, None for a point cloud, and what maps the user's coordinates."""
-    if not isinstance(shape, Mesh):
-        return None, np.eye(4)
-    mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
-    return mesh, _matrix(similarity)
 
 
 def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:

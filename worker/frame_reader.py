@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.errors import ResultError
-from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.sampling import fit_to_domain
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import SpoolReader, finished_frames
 from morph_engine.results.trajectory import Trajectory
 
-Role = Literal["source", "target"]
 Read = TypeVar("Read")
 
 ATTEMPTS = 3
@@ -89,14 +86,6 @@ def has_unsaved_frames(result: Path) -> bool:
     """
     in_run = finished_frames(result)
     return in_run > 0 and in_run > _count_of_result(result)
-
-
-def mesh_in_grid_units(record: RunRecord, role: Role) -> Mesh | None:
-    """The mesh of a shape as the job has placed it in the domain; None where it is a cloud."""
-    shape = getattr(record, role)
-    if not isinstance(shape, Mesh):
-        return None
-    return fit_to_domain(shape, mode=record.config.sampling.fit)[0]
 
 
 def _read(result: Path, read: Callable[[SpoolReader | Trajectory], Read | None]) -> Read | None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import metadata
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import median_gap
+from morph_engine.geometry.sampling import Similarity, fit_to_domain
 
 NEIGHBORS = 12
 """The neighbour whose distance tells how far particles stand apart."""
 
 Json = dict[str, Any]
+Role = Literal["source", "target"]
 Shape = Mesh | NDArray[Any]
 """A shape as the user gave it: a mesh, or a bare point cloud of shape [n, 3]."""
 
@@ -76,6 +78,17 @@ class RunRecord:
         """Positions [dx], shape [n, 3], in the user's coordinates, float64."""
         placed: NDArray[np.float64] = positions @ self.transform[:3, :3].T + self.transform[:3, 3]
         return placed
+
+    def fitted(self, role: Role) -> tuple[Mesh | None, Similarity]:
+        """A shape's mesh as the run has placed it in the domain.
+
+        Returns:
+            The mesh [dx], None for a point cloud, and the map from user coordinates to grid units.
+        """
+        shape = getattr(self, role)
+        if not isinstance(shape, Mesh):
+            return None, Similarity()
+        return fit_to_domain(shape, mode=self.config.sampling.fit)
 
     def spacing_of(self, positions: NDArray[Any]) -> float:
         """Spacing of a frame's particles [dx]: h, or more where a larger target spreads them.

@@ -14,8 +14,8 @@ from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
-from chamfer_morph.worker.frame_reader import Role, mesh_in_grid_units
 from chamfer_morph.worker.queue import JobRecord
+from morph_engine.results.run_record import Role
 
 router: APIRouter = APIRouter(
     prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
@@ -96,7 +96,7 @@ def _mesh(
 ) -> Response:
     import trimesh
 
-    mesh = mesh_in_grid_units(find_run_record(job, context), role)
+    mesh, _ = find_run_record(job, context).fitted(role)
     if mesh is None:
         raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
     file = io.BytesIO()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from chamfer_morph.worker.frame_reader import mesh_in_grid_units, read_frame, read_run_record
+from chamfer_morph.worker.frame_reader import read_frame, read_run_record
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 from chamfer_morph.worker.storage import writing
 from morph_engine.errors import ResultError
@@ -38,7 +38,7 @@ def run(result: Path, index: int, path: Path) -> None:
             "largest": found.area_share_of_largest,
             "volume": found.volume,
         }
-        target = mesh_in_grid_units(record, "target")
+        target, _ = record.fitted("target")
         if target is not None:
             report["deviation"] = surface_deviation(found, target)
         StoredSurface(found.vertices, found.faces, report).save(path)
