@@ -18,6 +18,10 @@ class ExportRequest(Request):
         None, min_length=1, max_length=10000, description="0-based, negative from the end; or all."
     )
     surface: bool = Field(False, description="A surface around the particles in their place.")
+    fit: bool = Field(
+        False,
+        description="Draw the surface of the first and last frames to the meshes of both shapes.",
+    )
     units: Units = Field("user", description="The coordinates of the target's file, or grid units.")
     fields: list[str] = Field(
         default_factory=list, max_length=20, description="To carry along, see /v1/fields."

@@ -27,7 +27,11 @@ PAGES = {
     ),
     "Pictures and surfaces": (
         "Pictures and videos without a display, and the closed surface around particles.",
-        ("morph_engine.rendering.pictures", "morph_engine.geometry.surface_reconstruction"),
+        (
+            "morph_engine.rendering.pictures",
+            "morph_engine.geometry.surface_reconstruction",
+            "morph_engine.geometry.surface_fitting",
+        ),
     ),
     "Metrics": (
         "Any two shapes measured, and a run along its path. [Metrics](../../metrics.md) tells what "

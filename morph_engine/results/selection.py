@@ -11,13 +11,33 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from morph_engine.geometry.surface_reconstruction import reconstruct_surface
+from morph_engine.errors import ConfigError
+from morph_engine.geometry.surface_fitting import drawn_to
+from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.results.fields import field
+from morph_engine.results.run_record import Role
 from morph_engine.results.trajectory import Trajectory
 
 Units = Literal["user", "grid"]
 Positions = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
+
+ENDS = 0.1
+"""Share of the frames, at either end, in which surfaces are drawn to the meshes. Method `flow` lets
+the target rest in as many."""
+
+
+def check_fit(*, surface: bool, fit: bool) -> None:
+    """Refuse to draw particles to a mesh, arguments as for `Selection`.
+
+    Raises:
+        ConfigError: No surface is asked for.
+    """
+    if fit and not surface:
+        raise ConfigError(
+            "Only a surface can be drawn to the meshes (fit), and none is asked for.",
+            "Ask for a surface with --surface, or leave out --fit.",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +65,7 @@ class Selection:
         trajectory: The result.
         frames: Indices of the frames, each from 0.
         surface: Whether a surface takes the place of the particles.
+        fit: Whether the surface is drawn to the user's own meshes, at the source and at the target.
         units: Coordinates: ``user`` or ``grid``.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
@@ -53,6 +74,7 @@ class Selection:
     trajectory: Trajectory
     frames: tuple[int, ...]
     surface: bool = False
+    fit: bool = False
     units: Units = "user"
     fields: tuple[str, ...] = ()
     watch: Callable[[int, int], None] = lambda done, total: None
@@ -112,12 +134,30 @@ class Selection:
         fields = {name: self.field(name, frame) for name in self.fields}
         if not self.surface:
             return Snapshot(frame, self.placed(positions), None, fields)
-        found = reconstruct_surface(positions, self.trajectory.run.spacing_of(positions))
+        spacing = self.trajectory.run.spacing_of(positions)
+        found = reconstruct_surface(positions, spacing)
+        if self.fit:
+            found = self._drawn_to_ends(found, frame, spacing)
         if fields:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
             fields = {name: values[finite][nearest] for name, values in fields.items()}
         return Snapshot(frame, self.placed(found.vertices), found.faces, fields)
+
+    def _drawn_to_ends(self, surface: Surface, frame: int, spacing: float) -> Surface:
+        """A frame's surface drawn to the mesh of the end that it is near to, if there is one."""
+        trajectory = self.trajectory
+        complete = trajectory.status == "complete"
+        count = trajectory.frame_count if complete else trajectory.config.frames
+        frames_from: dict[Role, int] = {"source": frame + 1}
+        if complete:  # else the target has not been reached
+            frames_from["target"] = count - 1 - frame
+        for role, frames in frames_from.items():
+            share = 1 - frames / (ENDS * count)
+            mesh, _ = trajectory.run.fitted(role)
+            if share > 0 and mesh is not None:
+                surface = drawn_to(surface, mesh, share, spacing)
+        return surface
 
     @cached_property
     def _spacing(self) -> float:
