@@ -322,7 +322,7 @@ class Operations:
         *,
         frames: Iterable[int] | None = None,
         surface: bool = False,
-        fit: bool = False,
+        snap: bool = False,
         units: Units = "user",
         fields: Iterable[str] = (),
     ) -> Path:
@@ -335,7 +335,7 @@ class Operations:
             frames: 0-based, negative from the end; None means all. Several frames in a format that
                 holds one a file come as a zip archive.
             surface: A surface around the particles in their place.
-            fit: Draw the surface of the first and last frames to the meshes of both shapes.
+            snap: Draw the surface of the first and last frames to the meshes of both shapes.
             units: The coordinates of the target's file, or grid units.
             fields: Names of fields to carry along.
 
@@ -347,7 +347,7 @@ class Operations:
             format=format,
             frames=None if frames is None else list(frames),
             surface=surface,
-            fit=fit,
+            snap=snap,
             units=units,
             fields=list(fields),
         )

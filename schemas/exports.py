@@ -18,7 +18,7 @@ class ExportRequest(Request):
         None, min_length=1, max_length=10000, description="0-based, negative from the end; or all."
     )
     surface: bool = Field(False, description="A surface around the particles in their place.")
-    fit: bool = Field(
+    snap: bool = Field(
         False,
         description="Draw the surface of the first and last frames to the meshes of both shapes.",
     )

@@ -43,10 +43,10 @@ class SelectionOptions:
     surface: Annotated[
         bool, typer.Option("--surface", help="A surface around the particles in their place.")
     ] = False
-    fit: Annotated[
+    snap: Annotated[
         bool,
         typer.Option(
-            "--fit", help="With --surface: draw the first and last frames to your own meshes."
+            "--snap", help="With --surface: draw the first and last frames to your own meshes."
         ),
     ] = False
     force: ForceOption = False
@@ -82,7 +82,7 @@ def export(
 
     name = format or _format_by_suffix(out, exports.FORMATS)
     chosen = parse_list(fields)
-    exports.check(name, surface=selection.surface, fit=selection.fit, fields=chosen)
+    exports.check(name, surface=selection.surface, snap=selection.snap, fields=chosen)
     frames = parse_frames(selection.frames)
     with _written_file(result, out, selection, service, format=name) as (path, show_progress):
         exports.export(
@@ -91,7 +91,7 @@ def export(
             name,
             frames=frames,
             surface=selection.surface,
-            fit=selection.fit,
+            snap=selection.snap,
             units=units,
             fields=chosen,
             watch=show_progress,
@@ -130,7 +130,7 @@ def render(
             field=color,
             turntable=turntable,
             surface=selection.surface,
-            fit=selection.fit,
+            snap=selection.snap,
             size=pixels,
             fps=fps,
             frames=frames,

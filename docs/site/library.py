@@ -30,7 +30,7 @@ PAGES = {
         (
             "morph_engine.rendering.pictures",
             "morph_engine.geometry.surface_reconstruction",
-            "morph_engine.geometry.surface_fitting",
+            "morph_engine.geometry.surface_snapping",
         ),
     ),
     "Metrics": (

@@ -14,7 +14,7 @@ from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
 from morph_engine.results.fields import find as find_field
-from morph_engine.results.selection import Selection, Units, check_fit
+from morph_engine.results.selection import Selection, Units, check_snap
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
@@ -53,7 +53,7 @@ def export(
     *,
     frames: Sequence[int] | None = None,
     surface: bool = False,
-    fit: bool = False,
+    snap: bool = False,
     units: Units = "user",
     fields: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
@@ -70,7 +70,7 @@ def export(
         frames: Indices of the frames, negative from the end; None means all, and the last one
             where the path names a file for one frame.
         surface: A surface around the particles in place of the particles.
-        fit: Draw the surface of the first and last frames to the meshes of source and target,
+        snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
         units: ``user`` for the coordinates of the user's own files, ``grid`` for grid units.
         fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
@@ -79,20 +79,20 @@ def export(
 
     Raises:
         ConfigError: There is no such format or field, the format cannot hold what is asked for, or
-            there is no surface to fit.
+            there is no surface to draw.
         ExtraError: The format needs a package that is not installed.
         ResultError: The result is damaged, has no such frame or field, or the disk refuses.
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
-    check(format, surface=surface, fit=fit, fields=fields)
+    check(format, surface=surface, snap=snap, fields=fields)
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix
     with opened(result) as trajectory:
         selection = Selection(
             trajectory,
             _indices(trajectory, frames, only_last=single),
             surface=surface,
-            fit=fit,
+            snap=snap,
             units=units,
             fields=tuple(fields),
             watch=watch,
@@ -120,16 +120,16 @@ def _write(chosen: Format, selection: Selection, path: Path) -> None:
 
 
 def check(
-    format: str, *, surface: bool = False, fit: bool = False, fields: Sequence[str] = ()
+    format: str, *, surface: bool = False, snap: bool = False, fields: Sequence[str] = ()
 ) -> None:
     """Refuse what a format cannot hold, before anything is computed; arguments as for `export`.
 
     Raises:
         ConfigError: There is no such format or field, the format cannot hold it, or there is no
-            surface to fit.
+            surface to draw.
     """
     chosen = find(format)
-    check_fit(surface=surface, fit=fit)
+    check_snap(surface=surface, snap=snap)
     for name in fields:
         find_field(name)
     wanted = ({"surface"} if surface else {"points"}) | ({"fields"} if fields else set())

@@ -18,7 +18,7 @@ def write(selection: Selection, path: Path, *, kind: VideoKind) -> None:
         path,
         field=selection.fields[0] if selection.fields else None,
         surface=selection.surface,
-        fit=selection.fit,
+        snap=selection.snap,
         frames=selection.frames,
         kind=kind,
         watch=selection.watch,

@@ -21,7 +21,7 @@ from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import VideoKind, write_video
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.fields import find as find_field
-from morph_engine.results.selection import Selection, check_fit
+from morph_engine.results.selection import Selection, check_snap
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
 Floats = npt.NDArray[np.float64]
@@ -203,7 +203,7 @@ def video(
     field: str | None = None,
     turntable: bool = False,
     surface: bool = False,
-    fit: bool = False,
+    snap: bool = False,
     size: Size = (960, 720),
     fps: float = 12.0,
     frames: Sequence[int] | None = None,
@@ -220,7 +220,7 @@ def video(
             colour of their height in the source, and a surface is plain.
         turntable: Turn once around the shape.
         surface: Show a surface in place of particles.
-        fit: Draw the surface of the first and last frames to the meshes of source and target,
+        snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
         size: Width and height [pixels], even numbers.
         fps: Frames per second.
@@ -231,7 +231,7 @@ def video(
 
     Raises:
         ConfigError: The kind, the size or the field is none that can be used, or there is no
-            surface to fit.
+            surface to draw.
         ExtraError: An MP4 is asked for, and the package that writes it is not installed.
         ResultError: The result is damaged, or lacks a frame or the field.
         MeshError: The particles of a frame enclose nothing.
@@ -249,7 +249,7 @@ def video(
         )
     if field:
         find_field(field)
-    check_fit(surface=surface, fit=fit)
+    check_snap(surface=surface, snap=snap)
     with opened(result) as trajectory:
         if not trajectory.frame_count:
             raise ResultError(f"{trajectory.path} has no frames.", "Resume the run first.")
@@ -259,7 +259,7 @@ def video(
                 range(trajectory.frame_count) if frames is None else map(trajectory.index, frames)
             ),
             surface=surface,
-            fit=fit,
+            snap=snap,
             units="grid",
             fields=(field,) if field else (),
             watch=watch,

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine.errors import ConfigError
-from morph_engine.geometry.surface_fitting import drawn_to
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
+from morph_engine.geometry.surface_snapping import snapped_to
 from morph_engine.results.fields import field
 from morph_engine.results.run_record import Role
 from morph_engine.results.trajectory import Trajectory
@@ -27,16 +27,16 @@ ENDS = 0.1
 the target rest in as many."""
 
 
-def check_fit(*, surface: bool, fit: bool) -> None:
+def check_snap(*, surface: bool, snap: bool) -> None:
     """Refuse to draw particles to a mesh, arguments as for `Selection`.
 
     Raises:
         ConfigError: No surface is asked for.
     """
-    if fit and not surface:
+    if snap and not surface:
         raise ConfigError(
-            "Only a surface can be drawn to the meshes (fit), and none is asked for.",
-            "Ask for a surface with --surface, or leave out --fit.",
+            "Only a surface can be drawn to the meshes (snap), and none is asked for.",
+            "Ask for a surface with --surface, or leave out --snap.",
         )
 
 
@@ -65,7 +65,7 @@ class Selection:
         trajectory: The result.
         frames: Indices of the frames, each from 0.
         surface: Whether a surface takes the place of the particles.
-        fit: Whether the surface is drawn to the user's own meshes, at the source and at the target.
+        snap: Whether the surface is drawn to the user's own meshes, near source and target.
         units: Coordinates: ``user`` or ``grid``.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
@@ -74,7 +74,7 @@ class Selection:
     trajectory: Trajectory
     frames: tuple[int, ...]
     surface: bool = False
-    fit: bool = False
+    snap: bool = False
     units: Units = "user"
     fields: tuple[str, ...] = ()
     watch: Callable[[int, int], None] = lambda done, total: None
@@ -136,7 +136,7 @@ class Selection:
             return Snapshot(frame, self.placed(positions), None, fields)
         spacing = self.trajectory.run.spacing_of(positions)
         found = reconstruct_surface(positions, spacing)
-        if self.fit:
+        if self.snap:
             found = self._drawn_to_ends(found, frame, spacing)
         if fields:
             finite = np.isfinite(positions).all(axis=1)
@@ -156,7 +156,7 @@ class Selection:
             share = 1 - frames / (ENDS * count)
             mesh, _ = trajectory.run.fitted(role)
             if share > 0 and mesh is not None:
-                surface = drawn_to(surface, mesh, share, spacing)
+                surface = snapped_to(surface, mesh, share, spacing)
         return surface
 
     @cached_property

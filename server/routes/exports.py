@@ -187,11 +187,11 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     Raises:
         ProblemError: 422, there is no such frame.
         ConfigError: There is no such format or field, it cannot hold what is asked for, or there is
-            no surface to fit.
+            no surface to draw.
     """
     from morph_engine.export import check
 
-    check(request.format, surface=request.surface, fit=request.fit, fields=request.fields)
+    check(request.format, surface=request.surface, snap=request.snap, fields=request.fields)
     count = count_frames(result)
     for frame in request.frames or ():
         if not -count <= frame < count:

@@ -80,12 +80,12 @@ def test_render_makes_a_video(result, tmp_path):
     [
         (("export", "RESULT", "-o", "x.zip"), "--format"),
         (("export", "RESULT", "-o", "x.stl"), "surface"),
-        (("export", "RESULT", "-o", "x.ply", "--fit"), "--surface"),
+        (("export", "RESULT", "-o", "x.ply", "--snap"), "--surface"),
         (("export", "RESULT", "-o", "x.ply", "--frames", "5-2"), "0,5,10-20"),
         (("export", "RESULT", "-o", "x.ply", "--fields", "det_f"), "joint and physics"),
         (("export", "gone.vtkhdf", "-o", "x.ply"), "Check the path"),
         (("render", "RESULT", "-o", "x.mp4", "--size", "big"), "960x720"),
-        (("render", "RESULT", "-o", "x.gif", "--fit"), "--surface"),
+        (("render", "RESULT", "-o", "x.gif", "--snap"), "--surface"),
     ],
 )
 def test_refusals_have_cause_and_remedy(result, tmp_path, arguments, word):

@@ -58,7 +58,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     format: str
     frames: list[int] | None
     surface: bool
-    fit: bool
+    snap: bool
     units: Literal["user", "grid"]
     fields: list[str]
 

@@ -45,7 +45,7 @@ def run(
                 options.format,
                 frames=options.frames,
                 surface=options.surface,
-                fit=options.fit,
+                snap=options.snap,
                 units=options.units,
                 fields=options.fields,
                 watch=lambda done, total: report_progress(done / max(total, 1)),

@@ -132,7 +132,7 @@ def test_exports_are_made_once_and_kept(
     export = ready(api, api.http.post(path, json=surface).headers["Location"])
     mesh = loaded(api.http.get(export["links"]["file"]).content, "glb")
     assert mesh.is_watertight and export["file_name"] == "sphere-to-star-partial-1.glb"
-    drawn = api.http.post(path, json=surface | {"fit": True})
+    drawn = api.http.post(path, json=surface | {"snap": True})
     assert drawn.status_code == 202 and drawn.json()["id"] != export["id"]
     assert ready(api, drawn.headers["Location"])["state"] == "ready"
     table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
@@ -160,7 +160,7 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
         {"format": "ply", "frames": []},
         {"format": "ply", "fields": ["colour"]},
         {"format": "stl"},
-        {"format": "ply", "fit": True},
+        {"format": "ply", "snap": True},
         {"format": "ply", "units": "miles"},
         {"colour": 1},
     ):
@@ -245,4 +245,4 @@ def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) 
         with pytest.raises(ServiceError, match="plx"):
             client.export(job, tmp_path / "no", "plx")
         with pytest.raises(ServiceError, match="--surface"):
-            client.export(job, tmp_path / "no", "ply", fit=True)
+            client.export(job, tmp_path / "no", "ply", snap=True)

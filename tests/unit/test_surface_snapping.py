@@ -12,13 +12,13 @@ from morph_engine.export import export
 from morph_engine.geometry.mesh import Mesh, make_mesh
 from morph_engine.geometry.sampling import fit_to_domain, sample_lattice
 from morph_engine.geometry.shapes import make
-from morph_engine.geometry.surface_fitting import drawn_to
 from morph_engine.geometry.surface_reconstruction import (
     Surface,
     deviations,
     reconstruct_surface,
     surface_deviation,
 )
+from morph_engine.geometry.surface_snapping import snapped_to
 from morph_engine.morphing import prepare
 from morph_engine.rendering.pictures import video
 from morph_engine.results.selection import Selection
@@ -56,9 +56,9 @@ def run(spool):
         yield opened
 
 
-def surface(run, frame, *, fit, units="grid"):
+def surface(run, frame, *, snap, units="grid"):
     """The surface of a frame."""
-    (found,) = Selection(run, (frame,), surface=True, fit=fit, units=units).snapshots()
+    (found,) = Selection(run, (frame,), surface=True, snap=snap, units=units).snapshots()
     return Surface(found.vertices, found.faces)
 
 
@@ -77,7 +77,7 @@ def test_what_is_near_is_drawn_and_what_is_far_is_not(share):
     plane = Mesh(corners, np.array([[0, 1, 2]], np.int32), "plane", "")
     height = H * np.array([-2, -1, -0.75, -0.5, -0.1, 0, 0.3, 0.5, 0.75, 1, 2])
     vertices = np.stack([np.linspace(-1, 1, len(height)), 0 * height, height], axis=1)
-    drawn = drawn_to(Surface(vertices, np.zeros((0, 3), np.int32)), plane, share, H)
+    drawn = snapped_to(Surface(vertices, np.zeros((0, 3), np.int32)), plane, share, H)
     gone = share * np.array([0, 0, 0.5, 1, 1, 1, 1, 1, 0.5, 0, 0])
     expected = np.stack([vertices[:, 0], vertices[:, 1], (1 - gone) * height], axis=1)
     np.testing.assert_allclose(drawn.vertices, expected, atol=1e-12)
@@ -88,13 +88,13 @@ def test_a_ball_drawn_to_its_mesh_is_its_mesh():
     """Every vertex on it, closed, its volume and its normals; and the same to the bit again."""
     mesh, _ = fit_to_domain(make("sphere"), mode="volume")
     found = reconstruct_surface(sample_lattice(mesh, spacing=H, jitter="none"), H)
-    drawn = drawn_to(found, mesh, 1.0, H)
+    drawn = snapped_to(found, mesh, 1.0, H)
     assert distances(drawn, mesh).max() < 1e-6
     assert drawn.watertight
     assert drawn.volume == pytest.approx(mesh.volume, rel=1e-3)
     angles = [deviations(each, mesh)[0][1].mean() for each in (drawn, found)]
     assert angles[0] < 0.5 * angles[1]
-    np.testing.assert_array_equal(drawn.vertices, drawn_to(found, mesh, 1.0, H).vertices)
+    np.testing.assert_array_equal(drawn.vertices, snapped_to(found, mesh, 1.0, H).vertices)
 
 
 def test_edges_and_corners_are_sharp():
@@ -102,7 +102,7 @@ def test_edges_and_corners_are_sharp():
     box = trimesh.creation.box((6, 6, 6))
     mesh = make_mesh(box.vertices, box.faces, name="cube")
     found = reconstruct_surface(sample_lattice(mesh, spacing=H, jitter="none"), H)
-    drawn = drawn_to(found, mesh, 1.0, H)
+    drawn = snapped_to(found, mesh, 1.0, H)
     missed = [
         np.linalg.norm(each.vertices - mesh.vertices[:, None], axis=2).min(axis=1).max()
         for each in (drawn, found)
@@ -115,7 +115,7 @@ def test_edges_and_corners_are_sharp():
 
 def test_the_last_frame_lies_on_the_users_own_mesh(run):
     """In the coordinates of the target's file."""
-    drawn, found = (surface(run, COUNT - 1, fit=fit, units="user") for fit in (True, False))
+    drawn, found = (surface(run, COUNT - 1, snap=snap, units="user") for snap in (True, False))
     apart, before = (surface_deviation(each, run.target)["mean"] for each in (drawn, found))
     assert apart < 0.1 * before
 
@@ -123,8 +123,8 @@ def test_the_last_frame_lies_on_the_users_own_mesh(run):
 @pytest.mark.parametrize(("frame", "role"), [(0, "source"), (COUNT - 2, "target")])
 def test_frames_near_the_ends_are_drawn_half_of_the_way(run, frame, role):
     """A frame of the two that are drawn at either end is half of the way from one that is not."""
-    drawn, found = (surface(run, frame, fit=fit) for fit in (True, False))
-    whole = drawn_to(found, run.run.fitted(role)[0], 1.0, run.config.spacing)
+    drawn, found = (surface(run, frame, snap=snap) for snap in (True, False))
+    whole = snapped_to(found, run.run.fitted(role)[0], 1.0, run.config.spacing)
     np.testing.assert_allclose(drawn.vertices, (found.vertices + whole.vertices) / 2, atol=1e-9)
     assert np.linalg.norm(whole.vertices - found.vertices, axis=1).mean() > 1e-3
 
@@ -132,7 +132,7 @@ def test_frames_near_the_ends_are_drawn_half_of_the_way(run, frame, role):
 @pytest.mark.parametrize("frame", [1, COUNT // 2, COUNT - 3])
 def test_frames_on_the_way_stay_as_they_are(run, frame):
     """To the bit."""
-    drawn, found = (surface(run, frame, fit=fit) for fit in (True, False))
+    drawn, found = (surface(run, frame, snap=snap) for snap in (True, False))
     np.testing.assert_array_equal(drawn.vertices, found.vertices)
     np.testing.assert_array_equal(drawn.faces, found.faces)
 
@@ -142,14 +142,14 @@ def test_a_run_that_was_stopped_is_not_drawn_to_the_target(spool, tmp_path):
     path = write_result(spool, tmp_path / "partial.vtkhdf", status="partial")
     with Trajectory(path) as partial:
         for frame, changed in ((0, True), (COUNT - 1, False)):
-            drawn, found = (surface(partial, frame, fit=fit) for fit in (True, False))
+            drawn, found = (surface(partial, frame, snap=snap) for snap in (True, False))
             assert (drawn.vertices != found.vertices).any() == changed
 
 
 def test_point_clouds_have_no_mesh_to_draw_to(small_result):
     """The surface stays as it is."""
     with Trajectory(small_result) as result:
-        drawn, found = (surface(result, 2, fit=fit) for fit in (True, False))
+        drawn, found = (surface(result, 2, snap=snap) for snap in (True, False))
     np.testing.assert_array_equal(drawn.vertices, found.vertices)
 
 
@@ -160,21 +160,21 @@ def test_exports_and_videos_hand_the_option_on(run, tmp_path, monkeypatch):
         (lambda path, **options: video(run, path, **options), ".gif", {"size": (64, 48)}),
     ):
         plain, drawn = (
-            write(tmp_path / f"{fit}{ending}", frames=[-1], surface=True, fit=fit, **more)
-            for fit in (False, True)
+            write(tmp_path / f"{snap}{ending}", frames=[-1], surface=True, snap=snap, **more)
+            for snap in (False, True)
         )
         assert plain.read_bytes() != drawn.read_bytes()
     asked = []
-    monkeypatch.setattr(video_export, "video", lambda *_, **options: asked.append(options["fit"]))
-    for fit in (False, True):
-        video_export.GIF.write(Selection(run, (0,), surface=True, fit=fit), tmp_path)
+    monkeypatch.setattr(video_export, "video", lambda *_, **options: asked.append(options["snap"]))
+    for snap in (False, True):
+        video_export.GIF.write(Selection(run, (0,), surface=True, snap=snap), tmp_path)
     assert asked == [False, True]
 
 
 def test_particles_are_not_drawn(run, tmp_path):
     """Without a surface the option is refused, with what to do about it."""
     with pytest.raises(ConfigError, match="--surface"):
-        export(run, tmp_path / "a.ply", "ply", fit=True)
+        export(run, tmp_path / "a.ply", "ply", snap=True)
     with pytest.raises(ConfigError, match="--surface"):
-        video(run, tmp_path / "a.gif", fit=True)
+        video(run, tmp_path / "a.gif", snap=True)
     assert not list(tmp_path.iterdir())

@@ -25,7 +25,7 @@ ADHERENCE = 0.3
 triangles fold 3 to 15 times as often; at 1 a cube's corner is missed by 0.5 h, not 0.3 h."""
 
 
-def drawn_to(surface: Surface, mesh: Mesh, share: float, spacing: float) -> Surface:
+def snapped_to(surface: Surface, mesh: Mesh, share: float, spacing: float) -> Surface:
     """Move the vertices of a surface towards a mesh, and to its edges and corners.
 
     Args:
