@@ -59,9 +59,9 @@ class Blend:
         self.tension = tension
         self._distances = source, target
         self._reach = reach
-        self._outer = [compressed(distance, reach) for distance in self._distances]
+        self._outer: list[Field] = [compressed(distance, reach) for distance in self._distances]
         depths = [np.minimum(distance, 0) / np.float32(SKIN * step) for distance in self._distances]
-        self._inner = [np.expm1(-np.square(depth)) for depth in depths]
+        self._inner: list[Field] = [np.expm1(-np.square(depth)) for depth in depths]
         if raised is None:
             first, last = self._ends(1.0)
             raised = waiting(source, target, first, last, step)
