@@ -58,7 +58,7 @@ $(DOCS_STAMP): requirements-docs.lock $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-docs.lock
 	@touch $@
 
-test-site: site  ## its links, and its pages in headless Chromium
+test-site: site  ## its links, its examples, and its pages in headless Chromium
 	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
 	$(BIN)/python -m pytest -m site
 

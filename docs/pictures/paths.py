@@ -52,6 +52,8 @@ PAIRS = (
 )
 """The paper's twenty and nine more, each the names of two meshes."""
 
+TITLES = {"cow_bent": "Cow bent", "duck_y90": "Duck turned by 90°"}
+
 SHOWN = (
     "sphere-bunny",
     "sphere-teapot",
@@ -131,10 +133,14 @@ def _beyond(counts: Sequence[int]) -> int:
     return int(max(max(counts) - high, low - min(counts)))
 
 
+def _title(name: str) -> str:
+    return TITLES.get(name) or name.removeprefix("letter_").capitalize()
+
+
 def row(pair: str, m: dict[str, float]) -> str:
     """A line of the table."""
     return (
-        f"| {pair.replace('-', ' → ').replace('_', ' ').title()} | {m['he']:.2f} "
+        f"| {' → '.join(_title(name) for name in pair.split('-'))} | {m['he']:.2f} "
         f"| {m['area_min']:.2f}–{m['area_max']:.2f} | {m['volume_min']:.3f}–{m['volume_max']:.3f} "
         f"| {m['more_pieces']:.0f}, {m['more_euler']:.0f} | {m['d2_min']:.2f} | {m['kept']:.2f} "
         f"| {m['gap_p01']:.2f}; {m['gap_min']:.2f} "

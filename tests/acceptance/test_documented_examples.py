@@ -130,6 +130,7 @@ def test_an_option_that_is_gone_is_noticed():
         parse(["run", "sphere", "star", "--no-such-option"])
 
 
+@pytest.mark.site
 @pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda page: page.name)
 def test_python_runs(page, given, monkeypatch):
     """The blocks of a page one after another, with few particles."""
@@ -144,6 +145,7 @@ def test_python_runs(page, given, monkeypatch):
         run([sys.executable, "-c", script], given)
 
 
+@pytest.mark.site
 @pytest.mark.parametrize("name", sorted(RUN_AS_A_WHOLE))
 def test_commands_run(name, given):
     """The commands of a page one after another, as a reader types them."""
