@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.mpm import b_spline, stencil
-from morph_engine.mpm.grid import Grid, base_and_offset, flat_index, is_inside, row_index
+from morph_engine.mpm.grid import (
+    Grid,
+    base_and_offset,
+    flat_index,
+    is_inside,
+    presence,
+    row_index,
+)
 from morph_engine.mpm.private_grids import (
     PrivateGrids,
     begin_chunk,
@@ -116,7 +123,7 @@ def _mass_to_grid(
         for p in range(first, last):
             base, u = base_and_offset(x[p], grid)
             wx, wy = b_spline.weights(u.x, width), b_spline.weights(u.y, width)
-            wz = b_spline.weights(u.z, width) * point_mass
+            wz = b_spline.weights(u.z, width) * (presence(x[p], grid) * point_mass)
             corner = offset + flat_index(base, grid)
             for i in range(width):
                 for j in range(width):
@@ -172,7 +179,7 @@ def _mass_to_grid_adjoint(
             gradient.x += wz[k] * by_x[memory, k]
             gradient.y += wz[k] * by_y[memory, k]
             gradient.z += gz[k] * flat[memory, k]
-        x_bar[p] = gradient * (factor / dx)
+        x_bar[p] = gradient * (presence(x[p], grid) * (factor / dx))
 
 
 @ti.kernel

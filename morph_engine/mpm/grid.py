@@ -87,13 +87,25 @@ def base_and_offset(position, grid: ti.template()):
     """Lowest node of a particle's stencil, and the particle's position relative to it in cells.
 
     Both are clamped so that no particle, wherever it is, addresses memory outside the grid; the
-    step reports such a particle as a fault.
+    step reports such a particle as a fault, and `presence` takes its weights away.
     """
     cell = (position - grid.origin) / grid.dx
     base = ti.floor(cell, int) - 1 if ti.static(grid.width == 4) else ti.floor(cell - 0.5, int)
     base = ti.math.clamp(base, 0, grid.resolution - grid.width)
     low = ti.static(1.0 if grid.width == 4 else 0.5)
     return base, ti.math.clamp(cell - base, low, low + 1.0)
+
+
+@ti.func
+def presence(position, grid: ti.template()):
+    """Factor on the weights of a particle: 0 a cell and more outside the domain, else 1.
+
+    There the padding ends. Without weights a particle neither gives anything to the grid nor takes
+    anything from it: it stays where it is, as in the published program, whose cubic weights, at
+    most 1/6 per axis by then, fade over another cell (algorithm 2.1).
+    """
+    reach = ti.static(grid.half_extent + grid.dx)
+    return ti.select(ti.abs(position).max() < reach, 1.0, 0.0)
 
 
 @ti.func

@@ -5,7 +5,7 @@ import taichi as ti
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.constitutive import kirchhoff_stress, kirchhoff_stress_adjoint
 from morph_engine.mpm.faults import INVERTED, NON_FINITE, OUTSIDE, TOO_FAST
-from morph_engine.mpm.grid import base_and_offset, flat_index, row_index
+from morph_engine.mpm.grid import base_and_offset, flat_index, presence, row_index
 from morph_engine.mpm.particles_to_grid import join
 
 # Only what the kernel works on: see `ParticlesToGridArrays`.
@@ -39,7 +39,7 @@ def grid_to_particles(
     for p in range(step.x.shape[0]):
         base, u = base_and_offset(step.x[p], grid)
         wx, wy = b_spline.weights(u.x, width), b_spline.weights(u.y, width)
-        wz = b_spline.weights(u.z, width)
+        wz = b_spline.weights(u.z, width) * presence(step.x[p], grid)
         corner = flat_index(base, grid)
         # Sums over x and y of w v, w v dx and w v dy, for each z separately.
         memory = stencil.in_memory(u)
@@ -122,6 +122,8 @@ def grid_to_particles_adjoint(
         wx, gx = b_spline.weights(u.x, width), b_spline.weight_derivatives(u.x, width)
         wy, gy = b_spline.weights(u.y, width), b_spline.weight_derivatives(u.y, width)
         wz, gz = b_spline.weights(u.z, width), b_spline.weight_derivatives(u.z, width)
+        present = presence(step.x[p], grid)
+        wz, gz = wz * present, gz * present
         corner = flat_index(base, grid)
         # The scalar of 4.3 at a node is the dot product of its nodes_bar with an affine function.
         by_x = join(B[:, 0] * dx, 0.0, Gamma[:, 0] * (affine * dx))

@@ -7,7 +7,7 @@ import taichi as ti
 
 from morph_engine.mpm import b_spline, stencil
 from morph_engine.mpm.constitutive import FIXED_COROTATED, kirchhoff_stress, rotation
-from morph_engine.mpm.grid import base_and_offset, flat_index, is_inside, row_index
+from morph_engine.mpm.grid import base_and_offset, flat_index, is_inside, presence, row_index
 from morph_engine.mpm.private_grids import begin_chunk, sum_chunks, task_count, touching_chunks
 
 SMALLEST_MASS = 1e-12
@@ -120,7 +120,7 @@ def scatter(
     wx, wy, wz = (
         b_spline.weights(u.x, width),
         b_spline.weights(u.y, width),
-        b_spline.weights(u.z, width),
+        b_spline.weights(u.z, width) * presence(position, grid),
     )
     corner = offset + flat_index(base, grid)
     by_x, by_y = append(linear[:, 0] * dx, 0.0), append(linear[:, 1] * dx, 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine import backend
@@ -106,6 +107,11 @@ class Simulation:
             self.to_nodes(k)
             self.to_particles(k)
         return self.faults
+
+    def outside(self, layer: Layer) -> int:
+        """How many particles of a layer are outside [-domain, domain]^3."""
+        reach = np.abs(layer.x.to_numpy()).max(axis=1)
+        return int(np.count_nonzero(reach > self.domain))
 
     @property
     def faults(self) -> int:

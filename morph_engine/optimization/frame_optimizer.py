@@ -15,7 +15,7 @@ from typing import Literal
 from morph_engine.errors import SimulationError
 from morph_engine.losses.chamfer import ChamferLoss
 from morph_engine.losses.grid_mass import GridMassLoss
-from morph_engine.mpm.faults import NON_FINITE, fault_names
+from morph_engine.mpm.faults import NON_FINITE, OUTSIDE, fault_names
 from morph_engine.mpm.simulation import Simulation
 from morph_engine.optimization import watchdog
 from morph_engine.optimization.layer_optimizer import LayerOptimizer, Norm
@@ -93,6 +93,7 @@ class FrameOptimizer:
         self._counts = [0] * count
         self._losses = Losses(math.nan, math.nan)
         self._rejected: Counter[str] = Counter()
+        self._tolerated = 0
 
     def run(self, frame: int, weights: FrameWeights, distance: float) -> FrameReport:
         """Optimise one frame from the state in layer 0; the result is the last layer.
@@ -103,7 +104,9 @@ class FrameOptimizer:
             distance: Two-sided distance between particles and target in layer 0 [dx].
 
         A frame that fails even without control is restarted from its first state with half the
-        time step.
+        time step. A particle that leaves the domain at any time step may do so, and is left there
+        as in the published program (algorithm 2.1): the grid holds it less and less, and from one
+        cell outside not at all. With a margin before the walls none may.
 
         Raises:
             SimulationError: It still fails after all restarts.
@@ -113,24 +116,19 @@ class FrameOptimizer:
         simulation.smoothing = weights.smoothing
         self._weights = weights
         self._step = self._first_step(distance)
-        simulation.dt = self._dt
-        for restart in range(self._restarts + 1):
-            self._reset()
-            faults = simulation.forward()
-            if faults == 0:
-                self._losses = self._evaluate()
-                if math.isfinite(self._losses.physics + self._losses.chamfer):
-                    break
-                faults = NON_FINITE
-            cause = ", ".join(fault_names(faults))
-            if restart == self._restarts:
-                raise SimulationError(
-                    f"Frame {frame} cannot go on: {cause}, even at a time step of "
-                    f"{simulation.dt:.2g} s.",
-                    "The frames before it are kept; try a smaller optimizer.step or time.dt.",
-                )
-            simulation.dt /= 2
-            report.events.append(watchdog.restarted(frame, simulation.dt, cause))
+        before = simulation.outside(simulation.layers[0])
+        may_leave = OUTSIDE if simulation.domain >= simulation.grid.half_extent else 0
+        self._tolerated = may_leave if before else 0
+        faults = self._start(frame, report)
+        if faults & may_leave:
+            self._tolerated = may_leave
+            faults = self._start(frame, report)
+        if faults:
+            raise SimulationError(
+                f"Frame {frame} cannot go on: {', '.join(fault_names(faults))}, even at a time "
+                f"step of {simulation.dt:.2g} s.",
+                "The frames before it are kept; try a smaller optimizer.step or time.dt.",
+            )
         for pass_index in range(self._config.passes):
             for group in self._groups:
                 if self._control_step(group, pass_index):
@@ -143,7 +141,35 @@ class FrameOptimizer:
             watchdog.rejected(frame, count, cause)
             for cause, count in sorted(self._rejected.items())
         ]
+        if self._tolerated and (now := simulation.outside(simulation.last)) != before:
+            report.events.append(watchdog.outside(frame, now))
         return report
+
+    def _start(self, frame: int, report: FrameReport) -> int:
+        """Simulate a frame without control, at the largest time step at which that succeeds.
+
+        Returns:
+            Its faults at the smallest time step; 0 if it has succeeded.
+        """
+        simulation = self._simulation
+        simulation.dt = self._dt
+        for restart in range(self._restarts + 1):
+            self._reset()
+            faults = self._forward()
+            if faults == 0:
+                self._losses = self._evaluate()
+                if math.isfinite(self._losses.physics + self._losses.chamfer):
+                    return 0
+                faults = NON_FINITE
+            if restart < self._restarts:
+                simulation.dt /= 2
+                cause = ", ".join(fault_names(faults))
+                report.events.append(watchdog.restarted(frame, simulation.dt, cause))
+        return faults
+
+    def _forward(self, first: int = 0) -> int:
+        """Simulate from a layer on; the faults that are not tolerated in this frame."""
+        return self._simulation.forward(first) & ~self._tolerated
 
     def _reset(self) -> None:
         for control, transition in zip(self._controls, self._simulation.transitions, strict=True):
@@ -174,7 +200,7 @@ class FrameOptimizer:
                     alpha * share,
                     self._update_count(layer) + 1,
                 )
-            faults = self._simulation.forward(lowest)
+            faults = self._forward(lowest)
             self._losses = self._evaluate() if faults == 0 else Losses(math.nan, math.nan)
             value = self._objective(self._losses, chamfer_weight)
             if faults or not math.isfinite(value):

@@ -16,7 +16,7 @@ class Event:
     Attributes:
         frame: 0-based frame index.
         kind: "rejected" (trials refused), "restart" (frame begun anew with half the time step),
-            "stopped" (early stopping).
+            "outside" (particles out of the domain that are left there), "stopped" (early stopping).
         message: One sentence.
         data: Numbers behind the message.
     """
@@ -35,6 +35,13 @@ def restarted(frame: int, dt: float, cause: str) -> Event:
     """A frame begins anew with a smaller time step dt [s]."""
     message = f"Frame {frame} restarted at dt = {dt:.3g} s: {cause}."
     return Event(frame, "restart", message, {"cause": cause, "dt": dt})
+
+
+def outside(frame: int, count: int) -> Event:
+    """So many particles are out of the domain after a frame, and are left there."""
+    are = "particle is" if count == 1 else "particles are"
+    message = f"{count} {are} out of the domain after frame {frame}."
+    return Event(frame, "outside", message, {"count": count})
 
 
 def rejected(frame: int, count: int, cause: str) -> Event:

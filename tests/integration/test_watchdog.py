@@ -67,3 +67,44 @@ def test_the_device_is_the_one_asked_for() -> None:
     assert "cpu" in backend.available_devices()
     with pytest.raises(backend.DeviceError, match="no device called"):
         backend.start("abacus")  # type: ignore[arg-type]
+
+
+def test_a_particle_that_no_time_step_keeps_is_left_outside() -> None:
+    """The frame goes on at the full time step once smaller ones have failed, and says so."""
+    method = Physics(problem("physics", **{"watchdog.restarts": 2}))
+    with_one(method, place=15.9, speed=30.0)
+    outcome = method.advance(0)
+    assert [event.kind for event in outcome.events] == ["restart", "restart", "outside"]
+    assert outcome.events[-1].data["count"] == 1
+    assert 16 < outcome.positions[0, 0] < 18
+    assert outcome.numbers["dt"] == pytest.approx(1 / 120)
+    assert outcome.numbers["accepted_steps"] > 0
+
+
+def test_a_lost_particle_stays_where_it_is() -> None:
+    """Beyond the grid's reach it has no velocity, and no loss sees it (algorithm 2.1)."""
+    method = Joint(problem("joint", **{"chamfer.weight": 0.0}))
+    with_one(method, place=17.5, speed=5.0)
+    outcomes = [method.advance(frame) for frame in range(2)]
+    assert all(not outcome.events for outcome in outcomes)
+    assert all(outcome.numbers["dt"] == pytest.approx(1 / 120) for outcome in outcomes)
+    np.testing.assert_array_equal(outcomes[1].positions[0], [17.5, 0, 0])
+    state = method.state()
+    assert not state["v"][0].any()
+    np.testing.assert_array_equal(state["F"][0], np.eye(3))
+    assert abs(outcomes[1].positions[1:] - outcomes[0].positions[1:]).max() > 0.01
+
+
+def test_a_margin_is_kept() -> None:
+    """Where particles are to keep away from the walls, none is given up."""
+    method = Physics(problem("physics", **{"watchdog.restarts": 2, "grid.margin": 0.05}))
+    with_one(method, place=15.9, speed=30.0)
+    with pytest.raises(SimulationError, match="out of the domain"):
+        method.advance(0)
+
+
+def with_one(method: Physics | Joint, *, place: float, speed: float) -> None:
+    """Put one particle of the cube at x = place, with a speed along x."""
+    state = method.state()
+    state["x"][0], state["v"][0] = [place, 0, 0], [speed, 0, 0]
+    method.restore(state)
