@@ -52,9 +52,11 @@ AnyExperiment = Experiment | StandaloneExperiment
 STANDALONE = {
     experiment.name: experiment
     for experiment in (
-        StandaloneExperiment("planar", "Circle to star in 2D", "Table 9", 60.0, planar_section),
         StandaloneExperiment(
-            "propositions", "The propositions", "Appendix", 10.0, propositions_section
+            "planar", "Circle to star in 2D", "Table 10 and figure 3", 60.0, planar_section
+        ),
+        StandaloneExperiment(
+            "propositions", "The propositions", "Appendix A", 10.0, propositions_section
         ),
     )
 }

@@ -17,12 +17,15 @@ class Row:
         runs: What it is computed from; several runs differ in their seed and are averaged.
         group: Rows of one group compete for the best number; empty is the whole table.
         remark: What a reader must know of this row.
+        over: Label of the row by whose two-sided distance this row's is divided, in the column
+            `ratio`; empty without one.
     """
 
     label: str
     runs: tuple[Run, ...]
     group: str = ""
     remark: str = ""
+    over: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +39,8 @@ class Experiment:
         rows: Rows in order; a run may serve several experiments.
         metrics: Columns.
         remarks: What a reader must know, a sentence each.
+        printed_in: The experiment whose printed numbers the rows have, by their labels; empty for
+            its own.
         has_table: Whether there is a table, not figures alone.
         in_all: Whether it is a part of `morph reproduce all`.
     """
@@ -46,6 +51,7 @@ class Experiment:
     rows: tuple[Row, ...]
     metrics: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    printed_in: str = ""
     has_table: bool = True
     in_all: bool = True
 

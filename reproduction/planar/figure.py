@@ -1,4 +1,4 @@
-"""The picture of the planar experiment: where the points end, and which of them lie in a heap."""
+"""Pictures of the planar experiment: the way, and the end with the heaps that points form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from scipy.spatial import cKDTree
 
 from chamfer_morph.reproduction.planar.config import PlanarConfig
 from chamfer_morph.reproduction.planar.experiment import PlanarTable, Setting
-from chamfer_morph.reproduction.planar.metrics import TIGHT_CLUSTER_RADIUS, PlanarMetrics
+from chamfer_morph.reproduction.planar.metrics import (
+    TIGHT_CLUSTER_RADIUS,
+    PlanarMetrics,
+    measure,
+)
 from chamfer_morph.reproduction.planar.shapes import star
 
 Points = npt.NDArray[np.float64]
@@ -68,6 +72,37 @@ def figure(table: PlanarTable) -> Figure:
     bar.set_ticks([1, 2, 3, 5, 10, 20, 30], labels=["1", "2", "3", "5", "10", "20", "30"])
     bar.ax.minorticks_off()
     bar.outline.set_visible(False)
+    return picture
+
+
+_STRATEGIES = (
+    ("dco", "each point for itself"),
+    ("dco_repulsion_vector", "local repulsion"),
+    ("fourier", "shared basis"),
+)
+"""The rows of the paper's figure: row of the table, name."""
+
+
+def stages(table: PlanarTable) -> Figure:
+    """Initial, mid and final steps of the paper's setting, and the distance over the steps.
+
+    The layout of the paper's figure 3: a row per strategy. Dots have the colours of `figure`.
+    """
+    target = star(PlanarConfig().target_count)
+    picture = Figure(figsize=(11.0, 7.6), layout="constrained")
+    axes = picture.subplots(len(_STRATEGIES), 4)
+    for line, (name, title) in zip(axes, _STRATEGIES, strict=True):
+        row = table[name, "paper"]
+        last = len(row.trajectory) - 1
+        steps = np.linspace(0, row.steps, last + 1).round()
+        distance = [measure(points, target).cd for points in row.trajectory]
+        for panel, place in zip(line, (0, last // 2, last), strict=False):
+            _draw(panel, target, row.trajectory[: place + 1])
+            panel.set_title(f"step {steps[place]:.0f}", fontsize=10.5, color=INK, pad=4)
+            panel.set_xlabel(f"CD {distance[place]:.3f}", fontsize=9, color=FAINT)
+        line[0].set_ylabel(title, color=INK)
+        line[3].plot(steps, distance, color=INK, linewidth=1.4)
+        line[3].set(xlabel="step", ylabel="two-sided CD", ylim=(0, 0.4), xlim=(0, row.steps))
     return picture
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from chamfer_morph.reproduction.planar.config import PlanarConfig
 from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarTable, run_all
-from chamfer_morph.reproduction.planar.figure import figure
+from chamfer_morph.reproduction.planar.figure import figure, stages
 from chamfer_morph.reproduction.report.figures import save
 from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
 from chamfer_morph.reproduction.report.tables import VERSION, Cell, csv_text, format_exact
@@ -60,6 +60,11 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
         ),
         csv=_csv(rows),
         figures=(
+            save(
+                stages(table),
+                figures / f"{name}-stages",
+                "Initial, mid and final steps in the paper's setting, and the distance over them.",
+            ),
             save(
                 figure(table),
                 figures / f"{name}-ends",

@@ -25,6 +25,7 @@ METRIC_NAMES = {
     "t2s": "t→s",
     "two_sided": "two-sided",
     "two_sided_over_h": "two-sided / h",
+    "ratio": "ratio",
     "hausdorff": "Hausdorff",
     "f1": "F1",
     "iou": "IoU",
@@ -174,6 +175,8 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
     """Fill the table of an experiment with what there is, by run id."""
     lines = [_line(experiment, row, records) for row in experiment.rows]
+    if "ratio" in experiment.metrics:
+        lines = _with_ratios(lines)
     for metric in experiment.metrics:
         for group in {row.group for row in experiment.rows}:
             _mark_best(lines, metric, group)
@@ -183,7 +186,7 @@ def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
 def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> TableRow:
     found = tuple(records[run.id] for run in row.runs if run.id in records)
     complete = [record for record in found if record.is_complete]
-    in_paper = numbers.PAPER.get(experiment.name, {}).get(row.label, {})
+    in_paper = numbers.PAPER.get(experiment.printed_in or experiment.name, {}).get(row.label, {})
     in_program = numbers.PROGRAM.get(row.runs[0].id, {})
     cells = {}
     for metric in experiment.metrics:
@@ -197,6 +200,19 @@ def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> Ta
             is_failed=not is_whole and len(complete) < len(found),
         )
     return TableRow(row, cells, found)
+
+
+def _with_ratios(lines: Sequence[TableRow]) -> list[TableRow]:
+    """The lines with the ratio of each row's two-sided distance to that of the row it is over."""
+    distances = {line.row.label: line.cells["two_sided"] for line in lines}
+    filled = []
+    for line in lines:
+        cell, other = line.cells["two_sided"], distances.get(line.row.over, Cell())
+        ratio = cell.ours / other.ours if cell.ours is not None and other.ours else None
+        is_failed = line.cells["ratio"].is_failed and bool(line.row.over)
+        found = replace(line.cells["ratio"], ours=ratio, deviation=None, is_failed=is_failed)
+        filled.append(replace(line, cells={**line.cells, "ratio": found}))
+    return filled
 
 
 def _mark_best(lines: list[TableRow], metric: str, group: str) -> None:

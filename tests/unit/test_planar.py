@@ -23,7 +23,7 @@ from chamfer_morph.reproduction.planar.experiment import (
     optimize,
     run_all,
 )
-from chamfer_morph.reproduction.planar.figure import figure
+from chamfer_morph.reproduction.planar.figure import figure, stages
 from chamfer_morph.reproduction.planar.fourier import FourierOutline
 from chamfer_morph.reproduction.planar.metrics import measure
 from chamfer_morph.reproduction.planar.optimizer import clip
@@ -236,3 +236,14 @@ def test_figure_shows_all_end_states(table):
     assert len(panels) == 10
     norms = [axes.collections[-1].norm for axes in panels]
     assert {(norm.vmin, norm.vmax) for norm in norms if isinstance(norm, LogNorm)} == {(1, 30)}
+
+
+def test_stages_are_those_of_the_papers_figure(table):
+    """Three strategies at their first, middle and last step, and the curve between them."""
+    picture = stages(table)
+    rows = np.reshape(picture.axes, (3, 4))
+    assert [axes.get_title() for axes in rows[0][:3]] == ["step 0", "step 150", "step 300"]
+    for name, line in zip(("dco", "dco_repulsion_vector", "fourier"), rows, strict=True):
+        curve = line[3].get_lines()[0].get_ydata()
+        assert curve[0] == table["start", "reference"].metrics.cd
+        assert curve[-1] == table[name, "paper"].metrics.cd

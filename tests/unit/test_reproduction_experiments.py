@@ -1,5 +1,7 @@
 """The run lists: complete, consistent, and affordable."""
 
+import re
+
 import pytest
 
 from chamfer_morph.reproduction.experiments.extensions import EXTENSIONS
@@ -32,6 +34,18 @@ def test_every_printed_cell_has_a_row_and_a_column(table):
     for label, numbers in PAPER[table].items():
         assert rows[label].runs
         assert set(numbers) <= set(PAPER_TABLES[table].metrics)
+
+
+def test_every_table_and_figure_of_the_paper_is_named_once():
+    """Tables 1 to 11 and figures 1 to 7, but for the tables 7 and 8, which are of parameters."""
+    named = {"able": [], "igure": []}
+    for experiment in EXPERIMENTS.values():
+        for kind, first, second in re.findall(
+            r"(able|igure)s? (\d+)(?: and (\d+))?", experiment.origin
+        ):
+            named[kind] += [int(number) for number in (first, second) if number]
+    assert sorted(named["able"]) == [1, 2, 3, 4, 5, 6, 9, 10, 11]
+    assert sorted(named["igure"]) == [1, 2, 3, 4, 5, 6, 7]
 
 
 def test_numbers_of_the_published_program_belong_to_runs():

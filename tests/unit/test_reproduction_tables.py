@@ -11,6 +11,7 @@ from chamfer_morph.reproduction.experiments.paper_tables import (
     PAIRS,
     PAPER_TABLES,
     SCATTER,
+    SHAPES_TABLE,
     SPHERE,
 )
 from chamfer_morph.reproduction.published.numbers import PAPER
@@ -70,6 +71,24 @@ def test_repeats_are_averaged_with_their_spread():
     del records[row.runs[2].id]
     table = tabulate(ABLATION, records)
     assert table.ours(row.label, "two_sided") is None and not table.is_complete
+
+
+def test_a_ratio_is_taken_to_the_row_that_it_is_over():
+    """Table 2 prints DCO over physics on the Duck as 3.0; the row of physics itself has none."""
+    table = tabulate(SHAPES_TABLE, as_printed(SHAPES_TABLE))
+    cell = table.cell("Duck, DCO", "ratio")
+    assert cell.printed == 3.0
+    assert cell.ours == pytest.approx(0.744 / 0.247)
+    assert table.ours("Duck, Physics", "ratio") is None
+    for label, numbers in PAPER["shapes"].items():
+        if "ratio" in numbers:
+            assert table.ours(label, "ratio") == pytest.approx(numbers["ratio"], abs=0.05)
+
+
+def test_the_scatter_has_the_printed_pairs():
+    """Figure 7 is table 5, drawn: every point has its printed one beside it."""
+    table = tabulate(SCATTER, as_printed(PAIRS))
+    assert all(line.cells["two_sided"].printed is not None for line in table.lines)
 
 
 def test_findings_on_the_printed_numbers_are_the_papers():
