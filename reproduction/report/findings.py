@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
 from chamfer_morph.reproduction.published.numbers import CLAIMS, TARGETS
 from chamfer_morph.reproduction.report import extension_findings
-from chamfer_morph.reproduction.report.tables import Cell, Table, distance_from_ideal
+from chamfer_morph.reproduction.report.paired import (
+    PairedDifference,
+    paired_difference,
+    share_interval,
+)
+from chamfer_morph.reproduction.report.tables import FLOOR, Cell, Table, distance_from_ideal
+from chamfer_morph.reproduction.runs.store import Record
 
 Finding = Callable[[Table], list[str]]
 
@@ -21,8 +27,19 @@ class WinCount:
     better: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)
 
+    @property
+    def count(self) -> int:
+        """How many were compared."""
+        return len(self.better) + len(self.worse)
+
+    @property
+    def interval(self) -> str:
+        """The share of the better ones, as Wilson's interval."""
+        low, high = share_interval(len(self.better), self.count)
+        return f"{low:.0%} to {high:.0%}"
+
     def __str__(self) -> str:
-        return f"{len(self.better)} of {len(self.better) + len(self.worse)}"
+        return f"{len(self.better)} of {self.count}"
 
 
 def compare(
@@ -112,6 +129,7 @@ def _sphere(table: Table) -> list[str]:
 
 
 def _pairs(table: Table) -> list[str]:
+    """Counts over the pairs, and how much of physics' matter lies on top of other matter."""
     pairs = table.groups
     two_sided = compare(table, pairs, "{}, joint", "{}, physics")
     s2t = compare(table, pairs, "{}, joint", "{}, physics", "s2t")
@@ -125,12 +143,41 @@ def _pairs(table: Table) -> list[str]:
             f"Two-sided is not better on {', '.join(two_sided.worse)} (the paper: "
             "Duck → Sphere, Cow → Sphere, Duck → Cow, Teapot → Cow)."
         )
+    others = (("t2s", "t→s"), ("hausdorff", "Hausdorff"), ("f1", "F1"), ("iou", "IoU"))
+    scores = {
+        name: compare(table, pairs, "{}, joint", "{}, physics", metric) for metric, name in others
+    }
+    sentences.append(
+        "Joint is better than physics in "
+        + ", ".join(f"{name} on {score}" for name, score in scores.items())
+        + f" pairs. Its Hausdorff distance is larger on {_listed(scores['Hausdorff'].worse)}."
+    )
     if dco.better or dco.worse:
         sentences.append(
-            f"DCO at the same resolution ends above physics on {dco} pairs (the paper: on the "
-            "majority, without numbers)."
+            f"DCO at the same resolution, stopped after 1200 steps with epsilon 1e-4, ends above "
+            f"physics on {dco} pairs (the paper: on the majority, without numbers)."
         )
-    return sentences
+    named = {"two-sided": two_sided, "s→t": s2t, **scores, "DCO above physics": dco}
+    intervals = [f"{name} {score.interval}" for name, score in named.items() if score.count]
+    if intervals:
+        sentences.append(
+            f"As 95 % intervals of a share, if pairs were independent: {', '.join(intervals)}."
+        )
+    return [*sentences, *_heaps_of_physics(table, [f"{pair}, physics" for pair in pairs])]
+
+
+def _heaps_of_physics(table: Table, labels: Iterable[str]) -> list[str]:
+    """Where physics alone, which the paper calls free of collapse, has particles in one place."""
+    shares = table.numbers("overlap_h10", labels)
+    many = {label: share for label, share in shares.items() if share > 0.1}
+    if not many:
+        return []
+    rows = ", ".join(f"{share:.1%} ({label})" for label, share in many.items())
+    return [f"Particles of physics closer than h/10 to another: {rows} (the paper: none)."]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
 
 
 def _scatter(table: Table) -> list[str]:
@@ -161,7 +208,31 @@ def _dragon(table: Table) -> list[str]:
     if coarse and joint:
         word = "better" if joint < coarse else "not better"
         sentences.append(f"At 3 points per edge joint is {word} (the paper: worse).")
-    return sentences
+    return [*sentences, *_dragon_collapse(table)]
+
+
+def _dragon_collapse(table: Table) -> list[str]:
+    """The paper's four sentences on DCO and the dragon, each beside our numbers."""
+    coarse = ("DCO, 3 per edge", "DCD, 3 per edge", "Physics, 3 per edge", "Joint, 3 per edge")
+    fine = ("DCO, 4 per edge", "Physics, 4 per edge")
+    if not all(table.ours(label, "two_sided") for label in (*coarse, *fine)):
+        return []
+    two_sided, hausdorff, f1 = (
+        table.numbers(metric, (*coarse, *fine)) for metric in ("two_sided", "hausdorff", "f1")
+    )
+    dco, dcd, physics, _ = coarse
+    lowest = min(coarse, key=lambda label: f1[label])
+    return [
+        f"DCO's two-sided distance is {two_sided[dco] / two_sided[physics]:.2f} times that of "
+        f"physics at 3 points per edge and {two_sided[fine[0]] / two_sided[fine[1]]:.2f} "
+        "times at 4 (the paper: 2.1 times).",
+        f"Hausdorff: DCO {hausdorff[dco]:.3f}, physics {hausdorff[physics]:.3f} (the paper: DCO "
+        f"lower). The lowest F1 at 3 per edge is that of {lowest.partition(',')[0]}, "
+        f"{f1[lowest]:.3f}; DCO has {f1[dco]:.3f} (the paper: DCO's is the lowest of all).",
+        f"DCO {two_sided[dco]:.3f} and DCD {two_sided[dcd]:.3f} (the paper: equal, 0.660 and "
+        "0.659).",
+        *_heaps_of_physics(table, [physics, fine[1]]),
+    ]
 
 
 def _chance(table: Table) -> list[str]:
@@ -180,7 +251,8 @@ def _chance(table: Table) -> list[str]:
             differences.append(f"{joint.ours - physics.ours:+.4f} ± {deviation:.4f} on {target}")
     if differences:
         sentences.append(f"The means differ by {', '.join(differences)}.")
-    return sentences
+    paired = _paired(table, TARGETS)
+    return [*sentences, f"Paired by seed: {_differences(paired)}"] if paired else sentences
 
 
 def _joint_deviation(*cells: Cell) -> float:
@@ -256,6 +328,102 @@ def _fairness(table: Table) -> list[str]:
     return sentences
 
 
+def _rest(table: Table) -> list[str]:
+    """Who is nearer at rest, and coincidence apart from starvation."""
+    score = compare(table, table.groups, "{}, physics", "{}, DCO at rest")
+    if not score.count:
+        return []
+    sentences = [
+        f"DCO at rest ends above physics on {score} pairs ({score.interval} as a 95 % interval); "
+        f"below it on {_listed(score.worse)}."
+    ]
+    free: list[str] = []
+    bound: list[float] = []
+    overlap, floors = table.numbers("overlap_01"), table.numbers(FLOOR)
+    for label in overlap.keys() & floors.keys():
+        if not label.endswith("at rest"):
+            continue
+        if floors[label]:
+            bound.append(overlap[label] - floors[label])
+        else:
+            free.append(label)
+    if free:
+        shares = [overlap[label] for label in free]
+        unused = [1 - share for share in table.numbers("targets_used", free).values()]
+        low = table.numbers("rho_p05", free).values()
+        sentences.append(
+            f"Where particles do not outnumber points, {len(free)} pairs, {min(shares):.1%} to "
+            f"{max(shares):.1%} of them coincide. There {min(unused):.1%} to {max(unused):.1%} of "
+            "the target points are nobody's nearest, and the 5 % quantile of the density is "
+            f"{min(low):.3f} to {max(low):.3f}."
+        )
+    if bound:
+        sentences.append(
+            f"Where they do, {len(bound)} pairs, {min(bound):+.1%} to {max(bound):+.1%} of all "
+            "particles coincide beyond the floor."
+        )
+    return sentences
+
+
+def _repulsion(table: Table) -> list[str]:
+    ends = [
+        f"{label}: {share:.3f} coincide, 5 % quantile of the density {low:.3f}, IoU {iou:.3f}"
+        for label, share in table.numbers("overlap_01").items()
+        if (low := table.ours(label, "rho_p05")) is not None
+        and (iou := table.ours(label, "iou")) is not None
+    ]
+    return [f"{'; '.join(ends)}."] if ends else []
+
+
+def _seeds(table: Table) -> list[str]:
+    """Paired differences with intervals, and what stands on one seed alone."""
+    sentences = []
+    differences = _paired(table, table.groups)
+    better = [pair for pair, each in differences.items() if each.excludes_zero and each.mean < 0]
+    worse = [pair for pair, each in differences.items() if each.excludes_zero and each.mean > 0]
+    if differences:
+        sentences.append(
+            f"Of {len(table.groups)} pairs {len(differences)} have been run with several seeds. "
+            f"Joint is nearer than physics, beyond the interval, on {len(better)} of them "
+            f"({_listed(better)}), farther on {len(worse)} ({_listed(worse)}). "
+            f"{_differences(differences)}"
+        )
+    swinging = [
+        f"{label} (from {min(curve):.3f} to {curve[-1]:.3f} at the end)"
+        for line in table.lines
+        for label, curve in [(line.row.label, _first_curve(line.records))]
+        if curve and curve[-1] > SWING * min(curve)
+    ]
+    if swinging:
+        sentences.append(
+            "A last frame far above the run's own least distance, which one seed cannot tell from "
+            f"chance: {', '.join(swinging)}."
+        )
+    return sentences
+
+
+SWING = 1.3
+"""A run whose last frame is so many times farther than its nearest one is called an outlier."""
+
+
+def _first_curve(records: Sequence[Record]) -> list[float]:
+    return records[0].curves.get("two_sided", []) if records else []
+
+
+def _paired(table: Table, names: Iterable[str]) -> dict[str, PairedDifference]:
+    """Joint minus physics in two-sided distance by target or pair, where seeds repeat."""
+    found = {
+        name: paired_difference(table, f"{name}, joint", f"{name}, physics", "two_sided")
+        for name in names
+    }
+    return {name: difference for name, difference in found.items() if difference is not None}
+
+
+def _differences(differences: Mapping[str, PairedDifference]) -> str:
+    parts = [f"{each} on {name}" for name, each in differences.items()]
+    return f"Joint - physics, mean and 95 % interval: {', '.join(parts)}."
+
+
 def _trial(table: Table) -> list[str]:
     score = compare(table, ["Joint"], "{}", "DCO")
     if not (score.better or score.worse):
@@ -276,6 +444,9 @@ FINDINGS: dict[str, Finding] = {
     "convergence": _convergence,
     "teaser": _teaser,
     "fairness": _fairness,
+    "rest": _rest,
+    "repulsion": _repulsion,
+    "seeds": _seeds,
     "trial": _trial,
     "transport": extension_findings.transport,
     "motion": extension_findings.motion,

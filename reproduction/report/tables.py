@@ -30,6 +30,7 @@ METRIC_NAMES = {
     "f1": "F1",
     "iou": "IoU",
     "overlap_01": "overlap < .01",
+    "overlap_floor": "least overlap 2(N-M)/N",
     "overlap_h10": "overlap < h/10",
     "many_to_one": "many-to-one",
     "targets_used": "targets used",
@@ -44,6 +45,9 @@ METRIC_NAMES = {
     "det_f_max_ever": "greatest det F",
     "max_move_ever": "farthest move",
 }
+
+FLOOR = "overlap_floor"
+"""The column of `coincidence_floor`."""
 
 VERSION = "chamfer-morph"
 """The software whose version a number depends on first."""
@@ -94,7 +98,10 @@ class TableRow:
         failed = [record.problem for record in self.records if not record.is_complete]
         if failed:
             return failed[0]
-        return "" if len(self.records) == len(self.row.runs) else "Not computed."
+        missing, count = len(self.row.runs) - len(self.records), len(self.row.runs)
+        if not missing:
+            return ""
+        return "Not run yet." if missing == count else f"Not run yet: {missing} of {count} seeds."
 
 
 @dataclass(frozen=True)
@@ -177,7 +184,9 @@ def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
     lines = [_line(experiment, row, records) for row in experiment.rows]
     if "ratio" in experiment.metrics:
         lines = _with_ratios(lines)
-    for metric in experiment.metrics:
+    if FLOOR in experiment.metrics:
+        lines = [_with_floor(line) for line in lines]
+    for metric in set(experiment.metrics) - {FLOOR, "ratio"}:
         for group in {row.group for row in experiment.rows}:
             _mark_best(lines, metric, group)
     return Table(experiment, tuple(lines))
@@ -213,6 +222,26 @@ def _with_ratios(lines: Sequence[TableRow]) -> list[TableRow]:
         found = replace(line.cells["ratio"], ours=ratio, deviation=None, is_failed=is_failed)
         filled.append(replace(line, cells={**line.cells, "ratio": found}))
     return filled
+
+
+def _with_floor(line: TableRow) -> TableRow:
+    """The line with the least share of coinciding particles that its numbers of points allow."""
+    floors = {
+        coincidence_floor(record.particle_count, record.target_count)
+        for record in line.records
+        if record.particle_count
+    }
+    cell = Cell(ours=max(floors)) if floors else Cell()
+    return replace(line, cells={**line.cells, FLOOR: cell})
+
+
+def coincidence_floor(particles: int, points: int) -> float:
+    """Share of N particles that share a place when all sit on M target points: 2 (N - M) / N.
+
+    Where particles outnumber points, as many as exceed them have to join another one each, so that
+    these coincide whatever moved them there; where they do not, none has to. With N > 2 M all do.
+    """
+    return min(1.0, max(0.0, 2 * (particles - points) / particles))
 
 
 def _mark_best(lines: list[TableRow], metric: str, group: str) -> None:

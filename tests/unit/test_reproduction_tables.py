@@ -8,16 +8,23 @@ import pytest
 
 from chamfer_morph.reproduction.experiments.paper_tables import (
     ABLATION,
+    PAIR_SEEDS,
     PAIRS,
     PAPER_TABLES,
+    REPULSION,
     SCATTER,
     SHAPES_TABLE,
     SPHERE,
 )
 from chamfer_morph.reproduction.published.numbers import PAPER
 from chamfer_morph.reproduction.report.findings import findings
+from chamfer_morph.reproduction.report.paired import paired_difference, share_interval
 from chamfer_morph.reproduction.report.section import display_table
-from chamfer_morph.reproduction.report.tables import format_difference, tabulate
+from chamfer_morph.reproduction.report.tables import (
+    coincidence_floor,
+    format_difference,
+    tabulate,
+)
 from chamfer_morph.reproduction.report.writer import write
 from chamfer_morph.reproduction.runs.store import Record, Store
 
@@ -89,6 +96,57 @@ def test_the_scatter_has_the_printed_pairs():
     """Figure 7 is table 5, drawn: every point has its printed one beside it."""
     table = tabulate(SCATTER, as_printed(PAIRS))
     assert all(line.cells["two_sided"].printed is not None for line in table.lines)
+
+
+def seeded(method, values):
+    """Records of Sphere → Bunny by seed with these two-sided distances."""
+    row = next(row for row in PAIR_SEEDS.rows if row.label == f"Sphere → Bunny, {method}")
+    return {
+        run.id: record(run, two_sided=value) for run, value in zip(row.runs, values, strict=False)
+    }
+
+
+def test_differences_are_paired_by_seed():
+    """What both runs of a seed share cancels; Student's interval of three is 4.303 s / √3 wide."""
+    records = seeded("physics", (0.2, 0.3, 0.4)) | seeded("joint", (0.19, 0.28, 0.37))
+    table = tabulate(PAIR_SEEDS, records)
+    labels = "Sphere → Bunny, joint", "Sphere → Bunny, physics"
+    found = paired_difference(table, *labels, "two_sided")
+    assert (found.mean, found.count) == (pytest.approx(-0.02), 3)
+    assert found.half_width == pytest.approx(4.3027 * 0.01 / 3**0.5, rel=1e-4)
+    assert not found.excludes_zero
+    assert "Of 20 pairs 1 have been run" in " ".join(findings(table))
+
+
+def test_what_has_not_been_run_says_so():
+    """A row with one seed of three has no number of its own, and tells how many are lacking."""
+    records = seeded("physics", (0.2,))
+    table = tabulate(PAIR_SEEDS, records)
+    remarks = {name: remark for name, remark, _ in table.display_rows}
+    assert remarks["Sphere → Bunny, physics"] == "Not run yet: 2 of 3 seeds."
+    assert remarks["Sphere → Bunny, joint"] == "Not run yet."
+    assert (
+        paired_difference(table, "Sphere → Bunny, joint", "Sphere → Bunny, physics", "s2t") is None
+    )
+
+
+def test_interval_of_a_share():
+    """Wilson's, by its own equation: the ends are where the share is z deviations away."""
+    for wins in (0, 14, 18, 20):
+        for end in share_interval(wins, 20):
+            deviation = (end * (1 - end) / 20) ** 0.5
+            assert abs(wins / 20 - end) == pytest.approx(1.959964 * deviation, abs=1e-6)
+
+
+def test_least_coincidence():
+    """Each particle too many has to join another one; with fewer particles than points none has."""
+    assert coincidence_floor(5, 4) == pytest.approx(2 / 5)
+    assert coincidence_floor(4, 4) == coincidence_floor(3, 4) == 0
+    assert coincidence_floor(9, 4) == 1
+    run = REPULSION.rows[0].runs[0]
+    made = record(run, overlap_01=0.5).model_copy(update={"particle_count": 5, "target_count": 4})
+    cell = tabulate(REPULSION, {run.id: made}).cell("DCO at rest", "overlap_floor")
+    assert cell.ours == pytest.approx(0.4) and not cell.is_best
 
 
 def test_findings_on_the_printed_numbers_are_the_papers():
