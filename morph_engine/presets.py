@@ -33,7 +33,7 @@ _PRESETS = {
         4, "The default: one body that flows; joint in a third of its time.", DEFAULT_METHOD
     ),
     "published": Preset(1, "The authors' program, number for number.", "joint"),
-    "paper": Preset(1, "The text of the paper, taken literally.", "joint"),
+    "paper": Preset(2, "The text of the paper, taken literally.", "joint"),
     "stiff": Preset(1, "Flow of matter that long resists shear.", "flow", only=True),
     "soft": Preset(1, "Flow of soft matter with some inertia.", "flow", only=True),
     "viscous": Preset(1, "Flow of matter that creeps, and melts a little.", "flow", only=True),

@@ -50,11 +50,11 @@ class JointOptions(ControlOptions):
         },
         # the text of the paper taken literally (algorithm 11)
         "paper": {
+            "time": {"transitions_per_frame": 10},
             "smoothing": {"values": (0.955,), "first_frames": (0,)},
             "grid_loss": {
                 "outside_factor": 1.0,
                 "final_weight": 0.1,
-                "decay_start": 20,
                 "weight_mode": "literal",
             },
             "chamfer": {"normalize": False, "huber_delta": 0.0, "reverse_smoothing": 0.0},

@@ -57,6 +57,7 @@ class PhysicsOptions(ControlOptions):
         },
         # the text of the paper taken literally (algorithm 11)
         "paper": {
+            "time": {"transitions_per_frame": 10},
             "smoothing": {"values": (0.955,), "first_frames": (0,)},
             "grid_loss": {"outside_factor": 1.0},
         },

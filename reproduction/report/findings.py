@@ -328,6 +328,17 @@ def _fairness(table: Table) -> list[str]:
     return sentences
 
 
+def _literal(table: Table) -> list[str]:
+    """Whether the text's own parameters give its numbers."""
+    escaped = table.numbers("escaped")
+    ends = [
+        f"{label} {distance:.3f} ({escaped[label]:.0f} particles out of the domain)"
+        for label, distance in table.numbers("two_sided").items()
+        if label in escaped
+    ]
+    return [f"Two-sided distance at the end: {'; '.join(ends)}."] if ends else []
+
+
 def _rest(table: Table) -> list[str]:
     """Who is nearer at rest, and coincidence apart from starvation."""
     score = compare(table, table.groups, "{}, physics", "{}, DCO at rest")
@@ -444,6 +455,7 @@ FINDINGS: dict[str, Finding] = {
     "convergence": _convergence,
     "teaser": _teaser,
     "fairness": _fairness,
+    "literal": _literal,
     "rest": _rest,
     "repulsion": _repulsion,
     "seeds": _seeds,

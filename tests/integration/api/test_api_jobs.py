@@ -253,7 +253,7 @@ def test_the_catalog_names_what_there_is(api: Api) -> None:
     """Presets with their settings, methods, shapes and the schema of the configuration."""
     presets = api.http.get("/v1/presets").json()
     assert presets[0]["name"] == "fast"
-    assert api.http.get("/v1/presets/paper").json()["config"]["preset"] == "paper-1"
+    assert api.http.get("/v1/presets/paper").json()["config"]["preset"] == "paper-2"
     assert api.http.get("/v1/presets/none").status_code == 404
     of_joint = api.http.get("/v1/presets/fast?method=joint").json()["config"]["method"]
     assert (of_joint["name"], of_joint["material"]["drag"]) == ("joint", 4.0)
