@@ -33,7 +33,8 @@ SECTIONS = {
     ),
     "Methods": ("method", "transport", "algorithm", "presets", "metrics"),
     "The paper": (
-        "reproduction", "propositions", "results/README", "results/report", "results/transport",
+        "reproduction", "findings", "propositions", "results/README", "results/report",
+        "results/fair", "results/transport",
     ),
     "Reference": (
         "reference/command_line", "reference/settings", *library.pages(), "api", "reference/http",
