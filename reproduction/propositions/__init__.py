@@ -1,9 +1,10 @@
 """Propositions 1 to 3 and Corollary 1 of the paper as executable checks (its appendix on theory).
 
 Each check measures what the statement says on a small scene with exact gradients, and shows where
-it ends by numbers that break its prediction (`Limit`). The measured part of all four holds. What
-does not follow is that a run must collapse: cells change, collapsed points separate, lists cross
-clusters, Adam rescales, and a penalty that leaves a centroid alone still keeps points apart.
+it ends by numbers that break its prediction (`Limit`). The three propositions are identities and
+hold. The corollary is refuted as written, by cases inside its assumptions. What does not follow is
+that a run must collapse: cells change, collapsed points separate, lists cross clusters, Adam
+rescales, and a penalty that leaves a centroid alone still keeps points apart.
 """
 
 from chamfer_morph.reproduction.propositions.check import Check, Quantity

@@ -36,11 +36,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Limit:
-    """A case that the proposition does not cover.
+    """A case and what the proposition says of it, or would say, were it applied.
 
     Attributes:
         case: The case in one sentence.
-        prediction: What the proposition would say, were it applied, and what is measured.
+        prediction: What the proposition says, and what is measured.
     """
 
     case: str
@@ -48,7 +48,7 @@ class Limit:
 
     @property
     def is_counterexample(self) -> bool:
-        """Whether the prediction fails, so that the limit is a real one."""
+        """Whether the prediction fails."""
         return not self.prediction.holds
 
 
@@ -59,16 +59,23 @@ class Check:
     Attributes:
         name: As in the paper.
         statement: What it says, in one sentence.
-        quantities: The measurements within its assumptions.
+        quantities: Identities, and examples of what it says, within its assumptions.
         limits: What is not covered, each shown by a number.
+        refuted_by: Cases within its assumptions in which it says what is not so.
     """
 
     name: str
     statement: str
     quantities: tuple[Quantity, ...]
     limits: tuple[Limit, ...]
+    refuted_by: tuple[Limit, ...] = ()
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether there is a counterexample within its assumptions."""
+        return any(each.is_counterexample for each in self.refuted_by)
 
     @property
     def holds(self) -> bool:
         """Whether every measurement within the assumptions is as expected."""
-        return all(each.holds for each in self.quantities)
+        return all(each.holds for each in self.quantities) and not self.is_refuted

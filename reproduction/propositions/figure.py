@@ -12,6 +12,7 @@ from scipy.spatial import Voronoi
 
 from chamfer_morph.reproduction.propositions.collapse import RATE, STEPS, descend
 from chamfer_morph.reproduction.propositions.coupling import (
+    WIDE,
     basis,
     coupled_descent,
     grid,
@@ -163,7 +164,7 @@ def _coupling_scene(panel: Axes) -> None:
 
 def _coupling_spread(panel: Axes) -> None:
     for coupling, color, label in (
-        (grid, GREEN, "grid"),
+        (grid(WIDE), GREEN, "grid"),
         (basis, ORANGE, "shared basis"),
         (independent, BLUE, "independent points"),
     ):

@@ -25,8 +25,10 @@ def propositions_section(name: str, title: str, origin: str, figures: Path) -> S
         origin=origin,
         findings=tuple(findings(checks)),
         remarks=(
-            "Rows that begin with Beyond are cases that a proposition does not cover: measured "
-            "against what it would say, were it applied.",
+            "The rows of a proposition are identities, and hold to rounding. Rows that begin with "
+            "Against are counterexamples within the assumptions of a statement. Rows that begin "
+            "with Beyond are cases that it does not cover, measured against what it would say, "
+            "were it applied.",
         ),
         table=DisplayTable(
             columns=(("", "measured"), ("", "should be"), ("", "verdict")),
@@ -46,11 +48,13 @@ def propositions_section(name: str, title: str, origin: str, figures: Path) -> S
 def findings(checks: Sequence[Check]) -> list[str]:
     """Which propositions hold within their assumptions, and how many limits are real ones."""
     holding = [check.name for check in checks if check.holds]
-    failing = [check.name for check in checks if not check.holds]
+    refuted = [check.name for check in checks if check.is_refuted]
+    failing = [check.name for check in checks if not (check.holds or check.is_refuted)]
     limits = [limit for check in checks for limit in check.limits]
     real = sum(limit.is_counterexample for limit in limits)
     return [
         f"Within their assumptions hold: {', '.join(holding) or 'none'}."
+        + (f" Refuted as written: {', '.join(refuted)}." if refuted else "")
         + (f" Not: {', '.join(failing)}." if failing else ""),
         f"{real} of {len(limits)} cases beyond the assumptions come out otherwise than the "
         "proposition would say, so the assumptions matter.",
@@ -62,6 +66,10 @@ def _rows(checks: Sequence[Check]) -> Iterator[tuple[str, str, tuple[DisplayCell
         for quantity in check.quantities:
             verdict = "holds" if quantity.holds else "fails"
             yield f"{check.name}: {quantity.name}", "", _entries(quantity, verdict)
+        for case in check.refuted_by:
+            verdict = "refutes it" if case.is_counterexample else "does not refute it"
+            cells = _entries(case.prediction, verdict)
+            yield f"Against {check.name}: {case.case}", case.prediction.name, cells
         for limit in check.limits:
             verdict = "does not apply" if limit.is_counterexample else "applies nevertheless"
             cells = _entries(limit.prediction, verdict)
@@ -95,6 +103,7 @@ def _csv(checks: Sequence[Check]) -> str:
         for check in checks
         for covered, name, quantity in (
             *(("yes", each.name, each) for each in check.quantities),
+            *(("yes", f"{it.case} {it.prediction.name}", it.prediction) for it in check.refuted_by),
             *(("no", f"{it.case} {it.prediction.name}", it.prediction) for it in check.limits),
         )
     )

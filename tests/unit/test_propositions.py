@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from chamfer_morph.reproduction.propositions import Quantity, all_checks, figure
-from chamfer_morph.reproduction.propositions.coupling import basis, coupled_drift, grid, independent
+from chamfer_morph.reproduction.propositions.coupling import (
+    CELLS,
+    NARROW,
+    SHIFTS,
+    WIDE,
+    basis,
+    coupled_drift,
+    grid,
+    independent,
+)
 from chamfer_morph.reproduction.propositions.penalties import PENALTIES, neighbor_lists
 from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere
 
@@ -24,11 +33,31 @@ def test_the_four_statements_in_order():
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
-def test_statement_holds(check):
+def test_identities_hold(check):
     """Every quantity is what the statement says."""
     assert check.quantities
     assert [each for each in check.quantities if not each.holds] == []
-    assert check.holds
+
+
+def test_the_corollary_is_refuted_and_the_propositions_are_not():
+    """Every counterexample within the assumptions is a real one, and only the corollary has any."""
+    *propositions, corollary = CHECKS
+    assert all(check.holds and not check.refuted_by for check in propositions)
+    assert len(corollary.refuted_by) == 2
+    assert all(each.is_counterexample for each in corollary.refuted_by)
+    assert corollary.is_refuted and not corollary.holds
+
+
+def test_what_a_grid_does_depends_on_its_cells():
+    """Cells with points of the cluster alone leave its drift; wide ones change it, anywhere."""
+    for shift in SHIFTS:
+        drifts = [coupled_drift(grid(cell, shift)) for cell in CELLS]
+        assert all(
+            drift == pytest.approx(1, abs=1e-12)
+            for cell, drift in zip(CELLS, drifts, strict=True)
+            if cell <= NARROW
+        )
+        assert max(drifts[CELLS.index(WIDE) :]) < 0.75
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
@@ -56,7 +85,7 @@ def test_penalty_gradients(name):
     np.testing.assert_allclose(gradient.sum(axis=0) / scale, 0, atol=1e-13)
 
 
-@pytest.mark.parametrize("coupling", [independent, basis, grid])
+@pytest.mark.parametrize("coupling", [independent, basis, *map(grid, CELLS)])
 def test_couplings_leave_translations_alone(coupling):
     """A common direction passes unchanged, so that rates can be compared."""
     points = np.vstack([cluster(), elsewhere()])
