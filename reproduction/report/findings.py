@@ -373,6 +373,17 @@ def _rest(table: Table) -> list[str]:
             f"Where they do, {len(bound)} pairs, {min(bound):+.1%} to {max(bound):+.1%} of all "
             "particles coincide beyond the floor."
         )
+    falls = [
+        1 - curve[-1] / curve[-11]
+        for line in table.lines
+        if line.row.label.endswith("at rest")
+        if len(curve := _first_curve(line.records)) > 10
+    ]
+    if falls:
+        sentences.append(
+            "Over the last ten frames the two-sided distance falls by "
+            f"{max(falls):.1%} at the most."
+        )
     return sentences
 
 
