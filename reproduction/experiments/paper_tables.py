@@ -555,6 +555,11 @@ LITERAL = Experiment(
             _literal(variant="paper-adjoint", overrides={"adjoint.drop_smoothing": True}),
             remark="Without the factor (1 - s) on the path from F to C, which no text mentions.",
         ),
+        _row(
+            "The text, step 0.003",
+            _literal(variant="paper-step", overrides={"optimizer.step": 0.003}),
+            remark="In place of 0.01.",
+        ),
         _row("Physics, the program's settings", _bunny("physics")),
     ),
     remarks=(
