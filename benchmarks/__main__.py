@@ -12,6 +12,7 @@ from multiprocessing import get_context
 
 from benchmarks.benchmark_groups import MODULES, measure
 from benchmarks.comparison import Row, failed, table
+from morph_engine.results.provenance import cpu_name
 
 
 def main() -> None:
@@ -49,16 +50,7 @@ def measured(group: str, quick: bool) -> list[Row]:
 def machine() -> str:
     """Where this runs, and how busy it was."""
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
-    return f"{processor()}, {os.cpu_count()} cores, load {load}, Python {platform.python_version()}"
-
-
-def processor() -> str:
-    """Name of the processor."""
-    try:
-        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:
-            return next(line.split(":")[1].strip() for line in lines if "model name" in line)
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
+    return f"{cpu_name()}, {os.cpu_count()} cores, load {load}, Python {platform.python_version()}"
 
 
 if __name__ == "__main__":
