@@ -40,6 +40,11 @@ class Outcome(BaseModel):
     target_count: int
     cpu_seconds: float = Field(description="CPU time of the last attempt [s].")
     peak_memory_mb: float = Field(description="Largest resident memory of the last attempt [MB].")
+    provenance: dict[str, Any] = Field(
+        default_factory=dict,
+        description="By which code, where, when and at which cost the last attempt computed. It "
+        "names no code if attempts by several codes made the frames.",
+    )
 
 
 class JobOptions(Request):

@@ -26,10 +26,12 @@ from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
 from morph_engine.child_process import lower_priority
+from morph_engine.code_digest import code_digest
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
 from morph_engine.morphing import prepare, run
 from morph_engine.peak_memory import peak_memory
+from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
@@ -71,8 +73,12 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         record = prepare(source, target, spec.config)
     frames = record.config.frames
     resumed = _checkpointed(out) if resume else 0
-    logged = {event.data["frame"] for event in log.read(limit=10**9) if event.type == "frame"}
-    log.append("attempt", {"attempt": attempt, "resumed_frames": resumed})
+    method = record.config.method.name
+    code = code_digest(method)  # of the files as they are now
+    events = log.read(limit=10**9)
+    logged = {event.data["frame"] for event in events if event.type == "frame"}
+    codes = {code, *(event.data.get("code") for event in events if event.type == "attempt")}
+    log.append("attempt", {"attempt": attempt, "resumed_frames": resumed, "code": code})
     _send("started", {"resumed_frames": resumed})
     for frame in run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True
@@ -83,7 +89,10 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
             about = {"frame": frame.index, "frames": frames, "attempt": attempt}
             log.append("frame", about | {"metrics": frame.metrics, "seconds": frame.seconds})
             _send("frame", {"frame": frame.index})
-    return _outcome(out)
+    provenance = provenance_by_now(method)
+    if resumed and len(codes) > 1:
+        provenance = provenance.model_copy(update={"code": ""})
+    return _outcome(out).model_copy(update={"provenance": provenance.model_dump(mode="json")})
 
 
 def _unfinished(out: Path) -> RunRecord | None:
