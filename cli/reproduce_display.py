@@ -73,8 +73,13 @@ class ReproductionDisplay(ProgressDisplay):
         return left / self._jobs
 
 
-def print_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | None) -> None:
-    """Print on standard error what is about to be computed, and how long that takes about."""
+def print_plan(
+    missing: Sequence[Run], *, known: int, outdated: int, jobs: int, server: str | None
+) -> None:
+    """Print on standard error what is about to be computed, and how long that takes about.
+
+    So many runs are known, and so many of the missing ones are there, but of other code.
+    """
     cost = sum(run.expected_cpu_seconds for run in missing)
     plan = f"{len(missing)} runs to compute, {known} are there already."
     if missing and server is None:
@@ -84,6 +89,11 @@ def print_plan(missing: Sequence[Run], *, known: int, jobs: int, server: str | N
     elif missing:
         plan += f" About {format_duration(cost)} of CPU time, by {server}."
     sys.stderr.write(f"{plan}\n")
+    if outdated:
+        sys.stderr.write(
+            f"{outdated} of them are there, of other code or of code that they do not name: "
+            "--any-code takes such runs as they are.\n"
+        )
 
 
 def print_section(section: Section) -> None:

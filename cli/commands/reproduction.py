@@ -44,6 +44,9 @@ def reproduce(
     fetch: Annotated[
         bool, typer.Option("--fetch", help="First fetch the meshes that are missing there.")
     ] = False,
+    any_code: Annotated[
+        bool, typer.Option("--any-code", help="Take finished runs of other code as they are, too.")
+    ] = False,
     server: Annotated[
         str | None, typer.Option(help="Have the service at this address compute the runs.")
     ] = None,
@@ -53,7 +56,8 @@ def reproduce(
 ) -> None:
     """Reproduce tables and figures of the paper, each number beside the printed one.
 
-    What has been computed is kept and used again; an interrupted command goes on when repeated.
+    What this code has computed is kept and used again; an interrupted command goes on when
+    repeated.
     """
     from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
     from chamfer_morph.reproduction.registry import runs_of, select
@@ -70,7 +74,16 @@ def reproduce(
 
         fetch_meshes(meshes, sorted(shapes & set(ASSETS)), quiet=quiet)
     folder.check(shapes)
-    records = _compute(experiments, store, folder, jobs=jobs, server=server, key=key, quiet=quiet)
+    records = _compute(
+        experiments,
+        store,
+        folder,
+        jobs=jobs,
+        any_code=any_code,
+        server=server,
+        key=key,
+        quiet=quiet,
+    )
     output = write(experiments, records, store)
     failed = [record for record in records.values() if not record.is_complete]
     if as_json:
@@ -99,6 +112,7 @@ def _compute(
     meshes: MeshFolder,
     *,
     jobs: int | None,
+    any_code: bool,
     server: str | None,
     key: str | None,
     quiet: bool,
@@ -110,10 +124,11 @@ def _compute(
 
     at_once = jobs or default_jobs()
     runs = runs_of(experiments)
-    known = known_records(runs, store, meshes)
+    known = known_records(runs, store, meshes, any_code=any_code)
     missing = [run for run in runs if run.id not in known]
+    outdated = known_records(missing, store, meshes, any_code=True)
     if not quiet:
-        print_plan(missing, known=len(known), jobs=at_once, server=server)
+        print_plan(missing, known=len(known), outdated=len(outdated), jobs=at_once, server=server)
     kept = "the jobs of the service go on" if server else "finished frames are kept"
     lines = f"Stopped by Ctrl-C; {kept}.", "Continue with the same command."
     with (
@@ -121,11 +136,15 @@ def _compute(
         ReproductionDisplay(jobs=at_once, quiet=quiet) as display,
     ):
         if server is None:
-            return execute(runs, store, meshes, jobs=at_once, on_progress=display.show)
+            return execute(
+                runs, store, meshes, jobs=at_once, any_code=any_code, on_progress=display.show
+            )
         from chamfer_morph.cli.remote_runs import execute_remotely
 
         with ServiceOptions(server, key).connect() as client:
-            return execute_remotely(client, runs, store, meshes, on_progress=display.show)
+            return execute_remotely(
+                client, runs, store, meshes, any_code=any_code, on_progress=display.show
+            )
 
 
 def _print_list(*, as_json: bool) -> None:

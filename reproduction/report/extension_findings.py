@@ -60,7 +60,7 @@ def _cost(table: Table) -> list[str]:
     seconds: dict[str, list[float]] = {}
     for line in table.lines:
         method = line.row.label.rpartition(", ")[2]
-        costs = [record.cpu_seconds for record in line.records if record.is_complete]
+        costs = [record.provenance.cpu_seconds for record in line.records if record.is_complete]
         seconds.setdefault(method, []).extend(costs)
     parts = [
         f"{method} {median(costs):.0f} s (at most {max(costs):.0f})"

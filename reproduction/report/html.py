@@ -9,13 +9,8 @@ from itertools import groupby
 from pathlib import Path
 
 from chamfer_morph.reproduction.report.figures import ReportFigure
-from chamfer_morph.reproduction.report.section import (
-    PROVENANCE_COLUMNS,
-    DisplayCell,
-    DisplayTable,
-    Provenance,
-    Section,
-)
+from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Section
+from chamfer_morph.reproduction.report.sources import COLUMNS, HEADING, all_sources, summary
 
 TITLE = "The paper, reproduced"
 PAPER = "On the Structural Failure of Chamfer Distance in 3D Shape Optimization"
@@ -50,6 +45,7 @@ rows is <span class="best">marked</span>. Lengths are in grid cells.</p>
 {entries}
 </ol></nav>
 {body}
+{_sources(sections)}
 </body>
 </html>
 """
@@ -65,7 +61,7 @@ def _section(section: Section) -> str:
         _table(section.table) if section.table else "",
         *(_figure(figure) for figure in section.figures),
         f'<div class="soft">{_paragraphs(section.remarks)}</div>' if section.remarks else "",
-        _provenance(section.provenance) if section.provenance else "",
+        f'<p class="soft">{escape(summary(section.sources))}</p>' if section.sources else "",
         "</section>",
     ]
     return "\n".join(filter(None, parts))
@@ -118,14 +114,18 @@ def _figure(figure: ReportFigure) -> str:
     )
 
 
-def _provenance(provenance: Sequence[Provenance]) -> str:
-    head = "".join(f"<th>{name}</th>" for name in PROVENANCE_COLUMNS)
+def _sources(sections: Iterable[Section]) -> str:
+    """The list of all runs."""
+    runs = all_sources(sections)
+    if not runs:
+        return ""
+    head = "".join(f"<th>{name}</th>" for name in COLUMNS)
     rows = "\n".join(
         f"<tr><th>{escape(run)}</th>" + "".join(f"<td>{escape(x)}</td>" for x in rest) + "</tr>"
-        for run, *rest in provenance
+        for run, *rest in runs
     )
     return (
-        "<details><summary>Where the numbers come from</summary>"
+        f'<section id="sources"><h2>{HEADING}</h2>'
         f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
-        "</div></details>"
+        "</div></section>"
     )

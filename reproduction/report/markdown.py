@@ -6,13 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from chamfer_morph.reproduction.report.figures import ReportFigure
 from chamfer_morph.reproduction.report.html import PAPER, TITLE
-from chamfer_morph.reproduction.report.section import (
-    PROVENANCE_COLUMNS,
-    DisplayCell,
-    DisplayTable,
-    Provenance,
-    Section,
-)
+from chamfer_morph.reproduction.report.section import DisplayCell, DisplayTable, Section
+from chamfer_morph.reproduction.report.sources import COLUMNS, HEADING, all_sources, summary
 
 INTRODUCTION = (
     f"*{PAPER}*: every table and figure, with what the paper prints, what the published program "
@@ -24,6 +19,8 @@ INTRODUCTION = (
 def markdown(sections: Sequence[Section], *, made: str) -> str:
     """The whole report; it refers to the figures in `figures` and the numbers in `tables`."""
     parts = [f"# {TITLE}", INTRODUCTION, made, *map(_section, sections)]
+    if runs := all_sources(sections):
+        parts += [f"## {HEADING}", _table(COLUMNS, runs)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -38,7 +35,7 @@ def _section(section: Section) -> str:
         _display_table(section.table) if section.table else "",
         *map(_figure, section.figures),
         *section.remarks,
-        _provenance(section.provenance) if section.provenance else "",
+        summary(section.sources),
     ]
     return "\n\n".join(filter(None, parts))
 
@@ -62,16 +59,6 @@ def _figure(figure: ReportFigure) -> str:
     if not figure.png:
         return figure.problem
     return f"![{figure.caption}](figures/{figure.name}.png)"
-
-
-def _provenance(provenance: Sequence[Provenance]) -> str:
-    return "\n\n".join(
-        (
-            "<details><summary>Where the numbers come from</summary>",
-            _table(PROVENANCE_COLUMNS, provenance),
-            "</details>",
-        )
-    )
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from datetime import date
 from importlib import metadata
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from chamfer_morph.reproduction.planar.config import PlanarConfig
 from chamfer_morph.reproduction.planar.experiment import PlanarRow, PlanarTable, run_all
 from chamfer_morph.reproduction.planar.figure import figure, stages
 from chamfer_morph.reproduction.report.figures import save
-from chamfer_morph.reproduction.report.section import Provenance, Section, display_table
+from chamfer_morph.reproduction.report.section import Section, display_table
+from chamfer_morph.reproduction.report.sources import THIS_REPORT, Source
 from chamfer_morph.reproduction.report.tables import VERSION, Cell, csv_text, format_exact
 
 NAMES = {
@@ -71,7 +73,7 @@ def planar_section(name: str, title: str, origin: str, figures: Path) -> Section
                 "Where the points start and end; colour and size tell how many lie in a heap.",
             ),
         ),
-        provenance=tuple(_source(row, row.config) for row in rows if row.config),
+        sources=tuple(_source(row, row.config) for row in rows if row.config),
     )
 
 
@@ -132,12 +134,13 @@ def _settings(config: PlanarConfig) -> str:
     return config.model_dump_json(exclude_defaults=True)
 
 
-def _source(row: PlanarRow, config: PlanarConfig) -> Provenance:
-    return Provenance(
+def _source(row: PlanarRow, config: PlanarConfig) -> Source:
+    return Source(
         run=f"{row.name}, {row.setting}",
-        digest="",
+        inputs="",
         config=_settings(config),
         size=f"{config.point_count} → {config.target_count}, {config.steps} steps",
-        cost="",
         version=metadata.version(VERSION),
+        code=THIS_REPORT,
+        date=f"{date.today()}",
     )

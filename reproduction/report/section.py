@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from chamfer_morph.reproduction.report.figures import ReportFigure, draw_all
 from chamfer_morph.reproduction.report.findings import findings
+from chamfer_morph.reproduction.report.sources import Source, sources
 from chamfer_morph.reproduction.report.tables import (
     METRIC_NAMES,
-    VERSION,
     Cell,
     Table,
     format_difference,
     format_number,
 )
-from chamfer_morph.reproduction.runs.store import Record, Store
+from chamfer_morph.reproduction.runs.store import Store
 
 
 @dataclass(frozen=True)
@@ -41,22 +40,6 @@ class DisplayTable:
     rows: tuple[tuple[str, str, tuple[DisplayCell, ...]], ...]
 
 
-class Provenance(NamedTuple):
-    """Where a number comes from, a text for each of `PROVENANCE_COLUMNS`."""
-
-    run: str
-    digest: str
-    config: str
-    size: str
-    cost: str
-    version: str
-
-
-PROVENANCE_COLUMNS = (
-    "run", "configuration and meshes", "preset", "particles, frames", "CPU", "version",
-)  # fmt: skip
-
-
 @dataclass(frozen=True)
 class Section:
     """One table of the paper, or one that it lacks.
@@ -70,7 +53,7 @@ class Section:
         table: The numbers; None where there are figures alone.
         csv: The numbers for a program; empty where there are none.
         figures: Its figures.
-        provenance: Where the numbers come from.
+        sources: Where the numbers come from.
     """
 
     name: str
@@ -81,7 +64,7 @@ class Section:
     table: DisplayTable | None = None
     csv: str = ""
     figures: tuple[ReportFigure, ...] = ()
-    provenance: tuple[Provenance, ...] = ()
+    sources: tuple[Source, ...] = ()
 
 
 def section_of(table: Table, store: Store, figures: Path) -> Section:
@@ -100,7 +83,7 @@ def section_of(table: Table, store: Store, figures: Path) -> Section:
         table=display_table(table.display_rows) if experiment.has_table else None,
         csv=table.csv(),
         figures=draw_all(table, store, figures),
-        provenance=_sources(record for line in table.lines for record in line.records),
+        sources=sources(record for line in table.lines for record in line.records),
     )
 
 
@@ -148,20 +131,3 @@ def _display_cell(cell: Cell, kind: str) -> DisplayCell:
     if cell.deviation is not None:
         text += f" ± {cell.deviation:.3f}"
     return DisplayCell(text, cell.is_best)
-
-
-def _sources(records: Iterable[Record]) -> tuple[Provenance, ...]:
-    distinct = {record.run.id: record for record in records}
-    return tuple(
-        Provenance(
-            run=record.run.id,
-            digest=record.digest[:12],
-            config=f"{(record.config or record.run).preset}, seed {record.run.seed}",
-            size=f"{record.particle_count} → {record.target_count}, {record.frames} frames"
-            if record.is_complete
-            else "failed",
-            cost=f"{record.cpu_seconds:.0f} s" if record.is_complete else "",
-            version=record.software.get(VERSION, ""),
-        )
-        for record in distinct.values()
-    )

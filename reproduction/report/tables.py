@@ -17,7 +17,8 @@ from morph_engine.metrics.definitions import METRICS
 
 COLUMNS = (
     "row", "metric", "printed", "published_program", "ours", "standard_deviation", "repeats",
-    "minus_printed", "minus_program", "best", "run_ids", "config_digests", "version", "problem",
+    "minus_printed", "minus_program", "best", "run_ids", "config_digests", "code_digests",
+    "version", "problem",
 )  # fmt: skip
 
 METRIC_NAMES = {
@@ -279,6 +280,7 @@ def _csv_row(line: TableRow, metric: str, cell: Cell) -> list[object]:
         "yes" if cell.is_best else "",
         " ".join(run.id for run in line.row.runs),
         " ".join(record.digest for record in line.records),
+        " ".join(sorted({record.provenance.code for record in line.records} - {""})),
         " ".join(sorted({record.software.get(VERSION, "") for record in line.records})),
         line.problem,
     ]

@@ -18,6 +18,7 @@ from chamfer_morph.reproduction.report.tables import tabulate
 from chamfer_morph.reproduction.runs.store import Record, Store
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
+from morph_engine.results.provenance import commit
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,9 @@ def write(
 
 def _made() -> str:
     version = metadata.version("chamfer-morph")
+    made_from = f" (commit {commit()})" if commit() else ""
     return (
-        f"Made on {datetime.now():%Y-%m-%d} with chamfer-morph {version}, "
+        f"Made on {datetime.now():%Y-%m-%d} with chamfer-morph {version}{made_from}, "
         f"Python {platform.python_version()}, {platform.machine()}."
     )
 

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from chamfer_morph.reproduction.meshes import MeshFolder, particle_count
+from morph_engine.code_digest import code_digest
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.presets import configure
@@ -74,6 +75,15 @@ class Run(BaseModel, frozen=True, extra="forbid"):
             "shapes": [meshes.digest(name) for name in self.shapes],
         }
         return digest(inputs)
+
+    @property
+    def code(self) -> str:
+        """SHA-256 of the code that shapes the result, see `code_digest`.
+
+        Raises:
+            ConfigError: There is no such method.
+        """
+        return code_digest(self.method)
 
     def quick(self) -> Run:
         """The same with the preset `fast`, where that changes anything."""

@@ -1,13 +1,12 @@
 """One run in a process of its own, with the arguments RUN RESULTS MESHES THREADS.
 
-RUN is a `Run` as JSON. An unfinished run goes on after its last finished frame. The process ends
-when its standard input does, which is when whoever started it is gone.
+RUN is a `Run` as JSON. An unfinished run goes on after its last finished frame, if the same code
+began it. The process ends when its standard input does, which is when whoever started it is gone.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 from chamfer_morph.reproduction.meshes import MeshFolder
@@ -16,6 +15,7 @@ from chamfer_morph.reproduction.runs.store import Record, Store, record_from_res
 from morph_engine import morphing
 from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError, ResultError
+from morph_engine.results.provenance import Provenance, provenance_by_now
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
@@ -31,14 +31,20 @@ def compute(run: Run, store: Store, meshes: MeshFolder, *, threads: int) -> Reco
     wanted = morphing.prepare(meshes.locate(run.source), meshes.locate(run.target), run.config())
     out = store.result_path(run)
     out.parent.mkdir(parents=True, exist_ok=True)
+    provenance = store.progress(run, digest)
+    if provenance.code != run.code:  # nobody knows which code left what is there
+        provenance = Provenance()
+        out.unlink(missing_ok=True)
     if not _is_result_of(out, wanted):
-        resume = _is_unfinished_run_of(out, wanted)
+        resume = provenance.code != "" and _is_unfinished_run_of(out, wanted)
+        earlier = provenance if resume else Provenance()
         for _ in morphing.run(
             wanted, device="cpu", threads=threads, out=out, resume=resume, overwrite=not resume
         ):
-            pass
+            store.save_progress(run, digest, provenance_by_now(run.method).after(earlier))
+        provenance = provenance_by_now(run.method).after(earlier)
     with Trajectory(out) as result:
-        record = record_from_result(run, digest, result, cpu_seconds=time.process_time())
+        record = record_from_result(run, digest, result, provenance)
     store.save(record)
     return record
 

@@ -67,8 +67,13 @@ def default_jobs() -> int:
     return max(1, min(os.cpu_count() or 1, memory))
 
 
-def known_records(runs: Sequence[Run], store: Store, meshes: MeshFolder) -> dict[str, Record]:
+def known_records(
+    runs: Sequence[Run], store: Store, meshes: MeshFolder, *, any_code: bool = False
+) -> dict[str, Record]:
     """Records of the runs that need not be computed again, by id.
+
+    These are runs that today's code has computed, or with `any_code` other code, or code that
+    their records do not name.
 
     Raises:
         MorphError: A mesh is missing or a setting unknown.
@@ -77,7 +82,11 @@ def known_records(runs: Sequence[Run], store: Store, meshes: MeshFolder) -> dict
         run.id: store.find(run, run.digest(meshes)) or find_old_record(run, store, meshes)
         for run in runs
     }
-    return {run_id: record for run_id, record in found.items() if record is not None}
+    return {
+        run_id: record
+        for run_id, record in found.items()
+        if record and (any_code or record.provenance.code == record.run.code)
+    }
 
 
 def execute(
@@ -86,9 +95,10 @@ def execute(
     meshes: MeshFolder,
     *,
     jobs: int,
+    any_code: bool = False,
     on_progress: ProgressCallback = lambda progress: None,
 ) -> dict[str, Record]:
-    """Compute runs that are not in the store yet, the costly ones first.
+    """Compute runs that are not in the store yet (see `known_records`), the costly ones first.
 
     So many jobs at a time share the cores; progress is reported several times a second. Returns
     the records of all runs by id, failed ones included.
@@ -96,7 +106,7 @@ def execute(
     Raises:
         MorphError: A mesh is missing or a setting unknown; nothing has been computed then.
     """
-    known = known_records(runs, store, meshes)
+    known = known_records(runs, store, meshes, any_code=any_code)
     missing = [run for run in runs if run.id not in known]
     waiting = sorted(missing, key=lambda run: run.expected_cpu_seconds)  # taken from the end
     threads = max(1, (os.cpu_count() or 1) // jobs)
@@ -124,8 +134,9 @@ def execute(
 
 
 def _start(run: Run, store: Store, meshes: MeshFolder, threads: int) -> subprocess.Popen[bytes]:
-    store.runs_folder.mkdir(parents=True, exist_ok=True)
-    store.record_path(run).unlink(missing_ok=True)  # so that what is there later is of this run
+    digest = run.digest(meshes)
+    # so that what is there later is of this attempt, or of one that it goes on with
+    store.save_progress(run, digest, store.progress(run, digest))
     arguments = [run.model_dump_json(), str(store.folder), str(meshes.path), str(threads)]
     with store.log_path(run).open("wb") as log:
         return subprocess.Popen(
@@ -142,7 +153,7 @@ def _record(run: Run, digest: str, store: Store, process: subprocess.Popen[bytes
     if process.stdin:
         process.stdin.close()
     record = store.read(run, digest)
-    if record is not None:
+    if record is not None and record.status != "unfinished":
         if record.is_complete:
             store.log_path(run).unlink(missing_ok=True)
         return record

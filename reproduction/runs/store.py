@@ -1,25 +1,23 @@
 """Finished runs on the disk: one JSON file each, beside the result file it was taken from.
 
 A record is found again as long as configuration and meshes are the same. One that is torn, of
-another configuration or of a failed run counts as absent.
+another configuration, of a failed run or of one under way counts as absent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
 
 from chamfer_morph.reproduction.runs.run import Run
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
-from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_deviation
+from morph_engine.metrics.summary import summarize
+from morph_engine.results.provenance import Provenance
 from morph_engine.results.run_record import software_versions
 from morph_engine.results.trajectory import Trajectory
 
@@ -29,39 +27,43 @@ CURVES = (
 )  # fmt: skip
 """Metrics kept for every frame; the result file has all of them."""
 
-EXTREMES: dict[str, Callable[[Iterable[float]], float]] = {
-    "least_gap": min, "det_f_min": min, "det_f_max": max, "max_move": max,
-}  # fmt: skip
-"""Metrics whose worst value over all frames is kept, too, with `_ever` after their name."""
-
 
 def _stored_config(document: Any) -> MorphConfig | None:
     return stored_config(document) if document else None
 
 
 class Record(BaseModel, frozen=True, ser_json_inf_nan="constants"):
-    """What a run has come to.
+    """What a run has come to, and by what.
 
-    Units are those of `morph_engine.metrics.definitions.METRICS`.
+    Units are those of `morph_engine.metrics.definitions.METRICS`. Records of version 0.1.0 name of
+    their provenance the CPU time alone.
     """
 
     run: Run
     digest: str = Field(description="Of configuration and meshes, see `Run.digest`.")
-    status: Literal["complete", "failed"]
+    status: Literal["complete", "failed", "unfinished"]
     problem: str = Field("", description="Why it failed.")
     config: Annotated[MorphConfig | None, BeforeValidator(_stored_config)] = Field(
         None, description="Resolved configuration; none if the run failed."
     )
     meshes: dict[str, str] = Field(default_factory=dict, description="SHA-256 by role.")
     software: dict[str, str] = Field(default_factory=software_versions)
+    provenance: Provenance = Field(Provenance(), description="Of the finished frames.")
     particle_count: int = 0
     target_count: int = 0
     frames: int = 0
     metrics: dict[str, float] = Field(
-        default_factory=dict, description="Of the last frame, and see `EXTREMES`."
+        default_factory=dict, description="Of the last frame and of all, see `summarize`."
     )
     curves: dict[str, list[float]] = Field(default_factory=dict)
-    cpu_seconds: float = Field(0.0, description="Of the process that finished it [s].")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_version_0_1_0(cls, document: Any) -> Any:
+        if not isinstance(document, dict) or "cpu_seconds" not in document:
+            return document
+        provenance = {"cpu_seconds": document["cpu_seconds"]}
+        return {"provenance": provenance, **document}
 
     @property
     def is_complete(self) -> bool:
@@ -106,6 +108,11 @@ class Store:
         record = self.read(run, digest)
         return record if record is not None and record.is_complete else None
 
+    def progress(self, run: Run, digest: str) -> Provenance:
+        """What the finished frames of a run have cost that is not complete; empty without them."""
+        record = self.read(run, digest)
+        return Provenance() if record is None or record.is_complete else record.provenance
+
     def save(self, record: Record) -> None:
         """Write a record, as a whole.
 
@@ -123,9 +130,16 @@ class Store:
                 "Free some disk space, or choose another folder with --results.",
             ) from error
 
+    def save_progress(self, run: Run, digest: str, provenance: Provenance) -> None:
+        """Note that a run is under way, and what its finished frames have cost."""
+        self.save(Record(run=run, digest=digest, status="unfinished", provenance=provenance))
+
     def save_failure(self, run: Run, digest: str, problem: str) -> Record:
-        """Note that a run failed, and why."""
-        record = Record(run=run, digest=digest, status="failed", problem=problem)
+        """Note that a run failed, and why; what it has cost so far is kept."""
+        provenance = self.progress(run, digest)
+        record = Record(
+            run=run, digest=digest, status="failed", problem=problem, provenance=provenance
+        )
         self.save(record)
         return record
 
@@ -138,28 +152,7 @@ class Store:
         return Trajectory(self.result_path(run))
 
 
-def _worst(result: Trajectory) -> dict[str, float]:
-    """The worst of a trajectory, by the metrics of `EXTREMES`."""
-    return {
-        f"{name}_ever": float(worst(result.metrics[name]))
-        for name, worst in EXTREMES.items()
-        if name in result.metrics and not np.isnan(result.metrics[name]).any()
-    }
-
-
-def _surface(result: Trajectory) -> dict[str, float]:
-    """How far the surface of the last frame of matter is from the target's, `surface_mean` [dx]."""
-    target = result.run.target
-    if "det_f_min" not in result.metrics or not isinstance(target, Mesh):
-        return {}
-    to_grid = np.linalg.inv(result.transform)
-    vertices = target.vertices @ to_grid[:3, :3].T + to_grid[:3, 3]
-    spacing = result.config.spacing
-    found = reconstruct_surface(result.positions(-1), spacing)
-    return {"surface_mean": surface_deviation(found, replace(target, vertices=vertices))["mean"]}
-
-
-def record_from_result(run: Run, digest: str, result: Trajectory, *, cpu_seconds: float) -> Record:
+def record_from_result(run: Run, digest: str, result: Trajectory, provenance: Provenance) -> Record:
     """The record of a finished run, taken from its result file.
 
     Raises:
@@ -173,14 +166,14 @@ def record_from_result(run: Run, digest: str, result: Trajectory, *, cpu_seconds
         config=result.config,
         meshes={role: document[role]["sha256"] for role in ("source", "target")},
         software=result.software,
+        provenance=provenance,
         particle_count=result.particle_count,
         target_count=len(result.target_points),
         frames=result.frame_count,
-        metrics=result.metrics_at(-1) | _worst(result) | _surface(result),
+        metrics=summarize(result),
         curves={
             name: [float(f"{value:.6g}") for value in result.metrics[name]]
             for name in CURVES
             if name in result.metrics and not np.isnan(result.metrics[name]).all()
         },
-        cpu_seconds=round(cpu_seconds, 2),
     )

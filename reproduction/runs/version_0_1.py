@@ -30,7 +30,7 @@ def find_old_record(run: Run, store: Store, meshes: MeshFolder) -> Record | None
     try:
         document = json.loads(store.record_path(run).read_bytes())
         stored = document["config"]
-        if not is_old(stored):
+        if not stored or not is_old(stored):  # a run that is not complete has none
             return None
         known = {name: value for name, value in stored.items() if name not in _left_out(run.method)}
         shapes = [meshes.digest(name) for name in run.shapes]

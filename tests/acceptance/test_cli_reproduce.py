@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -16,6 +17,7 @@ import psutil
 import pytest
 
 from chamfer_morph.client import MorphClient
+from morph_engine.code_digest import code_digest
 from morph_engine.files import acquire
 from morph_engine.results.spool import finished_frames, spool_path
 from morph_engine.results.trajectory import Trajectory
@@ -47,6 +49,16 @@ def reproduce(*arguments, results):
 def result_path(results, run_id):
     """Where the frames of a run lie."""
     return results / "runs" / f"{run_id}.vtkhdf"
+
+
+def record_path(results, run_id):
+    """Where the record of a run lies."""
+    return results / "runs" / f"{run_id}.json"
+
+
+def provenance_of(results, run_id):
+    """What the record of a run says of who computed it."""
+    return json.loads(record_path(results, run_id).read_text())["provenance"]
 
 
 def frames_of(results, run_id):
@@ -82,25 +94,50 @@ def unbroken(tmp_path_factory):
 
 
 def test_a_trial_leaves_tables_figures_and_a_report_and_is_not_computed_twice(unbroken):
-    """Everything is in one folder; the second command only reads it, also after a torn record."""
+    """Everything is in one folder; the second command only reads it."""
     assert (unbroken / "tables" / "trial.csv").is_file()
     assert {path.suffix for path in (unbroken / "figures").iterdir()} == {".png", ".svg"}
     report = (unbroken / "report.html").read_text(encoding="utf-8")
     assert "data:image/png" in report and "figure is missing" not in report
 
     written = [result_path(unbroken, run_id).stat().st_mtime_ns for run_id in RUNS]
-    record = unbroken / "runs" / f"{RUNS[0]}.json"
-    record.write_text(record.read_text()[:100])
     outcome = reproduce("trial", "--json", results=unbroken)
     assert outcome.returncode == 0, outcome.stderr
+    assert "0 runs to compute, 2 are there already" in outcome.stderr
     numbers = json.loads(outcome.stdout)["tables"]["trial"]["numbers"]
     assert {row["run_ids"] for row in numbers} == set(RUNS)
-    assert json.loads(record.read_text())["status"] == "complete"
     assert written == [result_path(unbroken, run_id).stat().st_mtime_ns for run_id in RUNS]
 
 
+@pytest.mark.parametrize("is_torn", [False, True], ids=["other code", "torn"])
+def test_a_run_that_nobody_knows_the_code_of_is_computed_again(unbroken, tmp_path, is_torn):
+    """The command says so, and how to keep the run; a torn record cannot be kept."""
+    results = tmp_path / "results"
+    shutil.copytree(unbroken, results)
+    path = record_path(results, RUNS[0])
+    text = path.read_text().replace(code_digest("dco"), "0" * 64)
+    path.write_text(text[:100] if is_torn else text)
+    written = result_path(results, RUNS[0]).stat().st_mtime_ns
+    if not is_torn:
+        outcome = reproduce("trial", "--any-code", results=results)
+        assert "0 runs to compute, 2 are there already" in outcome.stderr
+        assert "000000000000" in (results / "report.md").read_text(encoding="utf-8")
+        assert result_path(results, RUNS[0]).stat().st_mtime_ns == written
+    outcome = reproduce("trial", results=results)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "1 runs to compute, 1 are there already" in outcome.stderr
+    assert ("--any-code" in outcome.stderr) is not is_torn
+    assert result_path(results, RUNS[0]).stat().st_mtime_ns != written
+    assert provenance_of(results, RUNS[0])["code"] == code_digest("dco")
+    assert_same_bits(results, unbroken)
+
+
 def test_ctrl_c_and_kill_cost_nothing_but_the_frame_in_progress(unbroken, tmp_path):
-    """After both the same command ends bit for bit where the unbroken one does."""
+    """After both the same command ends bit for bit where the unbroken one does.
+
+    What the parts cost is summed.
+    """
+    spent = 0.0
     for send, frames in ((signal.SIGINT, 3), (signal.SIGKILL, 6)):
         process = subprocess.Popen(
             command("trial", "--jobs", 1, results=tmp_path), env=environment(),
@@ -115,10 +152,13 @@ def test_ctrl_c_and_kill_cost_nothing_but_the_frame_in_progress(unbroken, tmp_pa
             assert process.returncode == 130 and "same command" in said
         assert psutil.wait_procs(engines, timeout=10)[1] == []
         assert spool_path(path).is_dir() and not path.exists()
+        assert provenance_of(tmp_path, RUNS[1])["cpu_seconds"] > spent
+        spent = provenance_of(tmp_path, RUNS[1])["cpu_seconds"]
 
     outcome = reproduce("trial", "--jobs", 2, results=tmp_path)
     assert outcome.returncode == 0, outcome.stderr
     assert_same_bits(tmp_path, unbroken)
+    assert provenance_of(tmp_path, RUNS[1])["cpu_seconds"] > spent
 
 
 def test_a_run_that_fails_is_told_and_the_others_go_on(unbroken, tmp_path):
@@ -180,6 +220,10 @@ def test_a_service_computes_the_same_and_each_run_once(unbroken, tmp_path):
                 outcome = reproduce("trial", "--server", server, results=results)
                 assert outcome.returncode == 0, outcome.stderr
                 assert_same_bits(results, unbroken)
+                for run_id in RUNS:
+                    known = provenance_of(results, run_id)
+                    assert known["code"] == code_digest(run_id.partition("-")[2])
+                    assert known["device"] and known["date"] and known["cpu_seconds"] > 0
                 assert {job.name for job in client.jobs()} == set(RUNS)
                 assert len(list(client.jobs())) == len(RUNS)
     finally:

@@ -11,6 +11,7 @@ from chamfer_morph.reproduction.registry import EXPERIMENTS
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.runner import known_records
 from chamfer_morph.reproduction.runs.store import Record, Store
+from morph_engine.results.provenance import Provenance
 
 RUN = Run(id="a", source="sphere", target="star", method="joint", points_per_cell_edge=1)
 
@@ -27,9 +28,12 @@ def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def complete(run, digest, **metrics):
-    """A record of a finished run."""
-    return Record(run=run, digest=digest, status="complete", metrics=metrics, frames=run.frames)
+def complete(run, digest, *, code="", **metrics):
+    """A record of a finished run, computed by some code."""
+    return Record(
+        run=run, digest=digest, status="complete", metrics=metrics, frames=run.frames,
+        provenance=Provenance(code=code, cpu_seconds=7.0),
+    )  # fmt: skip
 
 
 def test_a_record_comes_back_as_it_was(store, meshes):
@@ -91,22 +95,53 @@ def test_a_torn_record_counts_as_absent(store, meshes, torn):
 def test_a_failure_is_kept_and_tried_again(store, meshes):
     """The cause can be read, and the next command computes the run."""
     digest = RUN.digest(meshes)
+    store.save_progress(RUN, digest, Provenance(code="a", cpu_seconds=3.0))
     store.save_failure(RUN, digest, "It burst.")
     record = store.read(RUN, digest)
     assert record is not None and record.problem == "It burst."
+    assert record.provenance.cpu_seconds == 3.0
     assert store.find(RUN, digest) is None
+    assert known_records([RUN], store, meshes, any_code=True) == {}
+
+
+def test_a_run_under_way_is_not_there_but_its_cost_is_known(store, meshes):
+    """Until it is complete, when there is nothing to go on with."""
+    digest = RUN.digest(meshes)
+    assert store.progress(RUN, digest) == Provenance()
+    under_way = Provenance(code="a", cpu_seconds=3.0)
+    store.save_progress(RUN, digest, under_way)
+    assert store.find(RUN, digest) is None
+    assert known_records([RUN], store, meshes, any_code=True) == {}
+    assert store.progress(RUN, digest) == under_way
+    assert store.progress(RUN, "another digest") == Provenance()
+    store.save(complete(RUN, digest, code="a"))
+    assert store.progress(RUN, digest) == Provenance()
+
+
+def test_a_run_of_other_code_counts_only_if_any_will_do(store, meshes):
+    """The code's digest decides, and a record that names none is of other code, too."""
+    digest = RUN.digest(meshes)
+    for code, counts in ((RUN.code, True), ("0" * 64, False), ("", False)):
+        record = complete(RUN, digest, code=code)
+        store.save(record)
+        assert known_records([RUN], store, meshes) == ({RUN.id: record} if counts else {})
+        assert known_records([RUN], store, meshes, any_code=True) == {RUN.id: record}
 
 
 def test_records_of_version_0_1_0_are_found(paper_mesh, tmp_path):
-    """Those that are committed need not be computed again, unless a mesh or a setting differs."""
+    """Those that are committed, unless a mesh or a setting differs; they do not name their code."""
     meshes = MeshFolder(paper_mesh("sphere").parent)
     committed = Store(Path(__file__).parents[2] / "docs" / "results")
     runs = (*EXPERIMENTS["sphere"].runs, *EXPERIMENTS["regularisers"].runs)
-    known = known_records(runs, committed, meshes)
+    assert known_records(runs, committed, meshes) == {}
+    known = known_records(runs, committed, meshes, any_code=True)
     assert known.keys() == {run.id for run in runs}
     assert all(known[run.id].digest == run.digest(meshes) for run in runs)
+    for record in known.values():
+        document = json.loads(committed.record_path(record.run).read_bytes())
+        assert record.provenance == Provenance(cpu_seconds=document["cpu_seconds"])
     run = runs[0].model_copy(update={"frames": 41})
-    assert known_records([run], committed, meshes) == {}
+    assert known_records([run], committed, meshes, any_code=True) == {}
     for name in runs[0].shapes:
         (tmp_path / name).write_text("v 0 0 0\n")
-    assert known_records([runs[0]], committed, MeshFolder(tmp_path)) == {}
+    assert known_records([runs[0]], committed, MeshFolder(tmp_path), any_code=True) == {}

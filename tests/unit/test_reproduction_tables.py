@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from datetime import datetime, timezone
 
 import pytest
 
@@ -20,6 +21,7 @@ from chamfer_morph.reproduction.published.numbers import PAPER
 from chamfer_morph.reproduction.report.findings import findings
 from chamfer_morph.reproduction.report.paired import paired_difference, share_interval
 from chamfer_morph.reproduction.report.section import display_table
+from chamfer_morph.reproduction.report.sources import sources, summary
 from chamfer_morph.reproduction.report.tables import (
     coincidence_floor,
     format_difference,
@@ -27,6 +29,7 @@ from chamfer_morph.reproduction.report.tables import (
 )
 from chamfer_morph.reproduction.report.writer import write
 from chamfer_morph.reproduction.runs.store import Record, Store
+from morph_engine.results.provenance import Provenance
 
 
 def as_printed(experiment):
@@ -40,11 +43,20 @@ def as_printed(experiment):
     return records
 
 
-def record(run, **metrics):
+def record(run, provenance=None, **metrics):
     """A finished run."""
     return Record(
-        run=run, digest=f"digest-of-{run.id}", status="complete", metrics=metrics, frames=40
-    )
+        run=run, digest=f"digest-of-{run.id}", status="complete", metrics=metrics, frames=40,
+        provenance=provenance or Provenance(), software={"chamfer-morph": "9.1"},
+    )  # fmt: skip
+
+
+def computed(code, day):
+    """What a record says of a run that some code computed on a day of November."""
+    return Provenance(
+        code=code * 64, commit=f"{'c' * 40}-dirty", device="cpu", cpu="EPYC", threads=2,
+        date=datetime(2026, 11, day, tzinfo=timezone.utc), wall_seconds=20, cpu_seconds=34,
+    )  # fmt: skip
 
 
 def test_a_cell_has_printed_program_ours_and_difference():
@@ -193,6 +205,38 @@ def test_csv_has_every_number_with_its_origin():
     )
     assert line["run_ids"] == "sphere-bunny-joint"
     assert line["config_digests"] == "digest-of-sphere-bunny-joint"
+    assert (line["code_digests"], line["version"]) == ("", "9.1")
+
+
+def test_a_table_says_in_one_line_which_code_computed_it_and_when():
+    """Versions, digests and dates of its runs, and which of them are older than provenance."""
+    a, b, c = SPHERE.runs[:3]
+    runs = [record(a, computed("a", 3)), record(b, computed("b", 4)), record(c), record(c)]
+    assert summary(sources(runs)) == (
+        f"2 runs by version 9.1, code {'a' * 12}, {'b' * 12}, 2026-11-03 to 2026-11-04; "
+        "1 run by version 9.1, before provenance."
+    )
+    assert summary(sources(runs[:1])) == f"1 run by version 9.1, code {'a' * 12}, 2026-11-03."
+    assert summary(()) == ""
+
+
+def test_the_report_ends_with_a_list_of_all_runs(tmp_path):
+    """Each once, with the tables that it serves, its code, machine, times and date."""
+    records = as_printed(SCATTER) | as_printed(SPHERE)
+    run = SPHERE.runs[0]
+    records[run.id] = record(run, computed("a", 3), **records[run.id].metrics)
+    html = write((SPHERE, SCATTER), records, Store(tmp_path)).report.read_text(encoding="utf-8")
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    listed = text.partition("## Where the numbers come from")[2].strip().splitlines()[2:]
+    assert len(listed) == len({run.id for run in (*SPHERE.runs, *SCATTER.runs)})
+    row = next(line for line in listed if line.startswith(f"| {run.id} |"))
+    words = ("a" * 12, f"{'c' * 12}-dirty", "cpu: EPYC, 2 threads", "34 s, 20 s", "2026-11-03",
+             "sphere, scatter")  # fmt: skip
+    for word in words:
+        assert f"| {word} |" in row
+        assert f"<td>{word}</td>" in html
+    for page in (text, html):
+        assert f"code {'a' * 12}, 2026-11-03; 7 runs by version 9.1, before provenance." in page
 
 
 def test_the_report_has_every_table_and_asks_the_network_for_nothing(tmp_path):
