@@ -1,5 +1,6 @@
 """Grid mass loss: how the mass on the grid differs from the target's (algorithm 3)."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class GridMass:
     def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
         self.point_count = point_count
         self.point_mass = point_mass
-        self.grid = grid
+        self.grid = replace(grid, leaky=True)
         self._private = PrivateGrids(grid, values=1)
         self.nodes: Any = backend.active().scalars(grid.node_count)
 

@@ -28,11 +28,13 @@ class Grid:
         dx: Node spacing.
         half_extent: The domain is [-half_extent, half_extent]^3, in the units of dx.
         width: Nodes of a stencil per axis: 4 for cubic splines, 3 for quadratic ones.
+        leaky: Whether particles may be beyond its reach, see `presence`.
     """
 
     dx: float = 1.0
     half_extent: float = 16.0
     width: int = 4
+    leaky: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a grid whose node numbers do not fit.
@@ -98,14 +100,18 @@ def base_and_offset(position, grid: ti.template()):
 
 @ti.func
 def presence(position, grid: ti.template()):
-    """Factor on the weights of a particle: 0 a cell and more outside the domain, else 1.
+    """Factor on the weights of a particle: on a leaky grid 0 beyond its reach, else 1.
 
-    There the padding ends. Without weights a particle neither gives anything to the grid nor takes
-    anything from it: it stays where it is, as in the published program, whose cubic weights, at
-    most 1/6 per axis by then, fade over another cell (algorithm 2.1).
+    It reaches a cell beyond the domain: there the padding ends. Without weights a particle neither
+    gives anything to the grid nor takes anything from it: it stays where it is, as in the published
+    program, whose cubic weights, at most 1/6 per axis by then, fade over another cell (algorithm
+    2.1).
     """
-    reach = ti.static(grid.half_extent + grid.dx)
-    return ti.select(ti.abs(position).max() < reach, 1.0, 0.0)
+    factor = 1.0
+    if ti.static(grid.leaky):
+        reach = ti.static(grid.half_extent + grid.dx)
+        factor = ti.select(ti.abs(position).max() < reach, 1.0, 0.0)
+    return factor
 
 
 @ti.func

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,10 @@ class Simulation:
             self.to_nodes(k)
             self.to_particles(k)
         return self.faults
+
+    def let_go(self, leaky: bool) -> None:
+        """Whether the grid lets go of particles beyond its reach; kernels that do are slower."""
+        self.grid = replace(self.grid, leaky=leaky)
 
     def outside(self, layer: Layer) -> int:
         """How many particles of a layer are outside [-domain, domain]^3."""

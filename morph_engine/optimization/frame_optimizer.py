@@ -118,10 +118,10 @@ class FrameOptimizer:
         self._step = self._first_step(distance)
         before = simulation.outside(simulation.layers[0])
         may_leave = OUTSIDE if simulation.domain >= simulation.grid.half_extent else 0
-        self._tolerated = may_leave if before else 0
+        self._tolerate(may_leave if before else 0)
         faults = self._start(frame, report)
         if faults & may_leave:
-            self._tolerated = may_leave
+            self._tolerate(may_leave)
             faults = self._start(frame, report)
         if faults:
             raise SimulationError(
@@ -166,6 +166,10 @@ class FrameOptimizer:
                 cause = ", ".join(fault_names(faults))
                 report.events.append(watchdog.restarted(frame, simulation.dt, cause))
         return faults
+
+    def _tolerate(self, faults: int) -> None:
+        self._tolerated = faults
+        self._simulation.let_go(bool(faults))
 
     def _forward(self, first: int = 0) -> int:
         """Simulate from a layer on; the faults that are not tolerated in this frame."""
