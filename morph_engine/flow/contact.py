@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from morph_engine import backend
 from morph_engine.flow.carrier import REFINEMENT
+from morph_engine.flow.cell_list import CellList, cell_of
 from morph_engine.mpm.grid import Grid
 
 SMALLEST = 1e-12
@@ -132,13 +133,10 @@ class Settling:
     """
 
     def __init__(self, count: int, grid: Grid, spacing: float) -> None:
-        device = backend.active()
         self.spacing: float = spacing
         self.grid: Grid = grid
-        self.cells: int = math.ceil((grid.resolution - 1) * grid.dx / spacing)
-        self._first = device.integers(self.cells**3 + 1)
-        self._cell, self._order = device.integers(count), device.integers(count)
-        self._move = device.vectors(count)
+        self.cells = CellList(count, grid, spacing)
+        self._move = backend.active().vectors(count)
 
     def settle(
         self, x: Any, moved: Any, body: Any, *, distance: float, spacing: float, most: float
@@ -155,11 +153,11 @@ class Settling:
             spacing: Lattice spacing of the particles by now [dx].
             most: What they are moved on average, at most [dx].
         """
-        edge, cells, first, order = self.spacing, self.cells, self._first, self._order
-        list_cells(x, first, self._cell, order, self.grid.origin, edge, cells)
+        cells = self.cells
+        cells.build(x)
         push(
-            x, self._move, first, order, *body,
-            edge, cells, distance, spacing, self.grid,
+            x, self._move, cells.first, cells.order, *body,
+            cells.edge, cells.per_axis, distance, spacing, self.grid,
         )  # fmt: skip
         longest = LONGEST_MOVE * self.spacing
         lengths = np.minimum(np.linalg.norm(self._move.to_numpy(), axis=1), longest)
@@ -176,41 +174,6 @@ def _threshold(lengths: NDArray[np.float64], most: float) -> float:
         return max(0.0, float(total[-1] / len(lengths) - most))
     last = enough[0] - 1
     return float((total[last] - most * len(lengths)) / count[last])
-
-
-@ti.func
-def cell_of(position, origin: float, edge: float, cells: int):
-    """Cell of a position along each axis."""
-    return ti.math.clamp(ti.floor((position - origin) / edge, int), 0, cells - 1)
-
-
-@ti.kernel
-def list_cells(
-    x: ti.types.ndarray(),
-    first: ti.types.ndarray(),
-    cell: ti.types.ndarray(),
-    order: ti.types.ndarray(),
-    origin: float,
-    edge: float,
-    cells: int,
-):
-    """List particles cell by cell: a counting sort, serial."""
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for c in range(first.shape[0]):
-            first[c] = 0
-        for p in range(x.shape[0]):
-            at = cell_of(x[p], origin, edge, cells)
-            cell[p] = (at.x * cells + at.y) * cells + at.z
-            first[cell[p]] += 1
-        total = 0
-        for c in range(first.shape[0]):
-            total += first[c]
-            first[c] = total
-        for q in range(x.shape[0]):
-            p = x.shape[0] - 1 - q
-            first[cell[p]] -= 1
-            order[first[cell[p]]] = p
 
 
 @ti.kernel

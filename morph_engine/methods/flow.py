@@ -113,7 +113,7 @@ class FlowOptions(MpmOptions):
     momentum: Fraction = Field(0.0, description="Share of velocity that is left after a frame.")
     material: MaterialConfig = MaterialConfig()
     memory: NonNegative = Field(
-        2.0, description="Frames after which matter has forgotten 63 % of its strain."
+        5.0, description="Frames after which matter has forgotten 63 % of its strain."
     )
     separation: Fraction = Field(
         0.85, description="Particles closer than this move apart on the way [h]; 0: never."
@@ -171,6 +171,9 @@ class Flow(MpmMethod[FlowOptions]):
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._wanted = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._moved = device.scalars(len(problem.source))
+        self._largest_stray_piece = flow.largest_stray_piece(
+            [problem.source, problem.target], config.spacing
+        )
         self._body_frame = -1
         time = options.time
         self._frame_seconds = time.dt * time.transitions_per_frame
@@ -370,8 +373,12 @@ class Flow(MpmMethod[FlowOptions]):
                 self._settle(there.x, now, (*self._levels, part), STEPS + 1 - quarter)
             simulation.layers.reverse()
             if simulation.faults:
-                break
-        return simulation.faults
+                return simulation.faults
+        flow.gather_stray_pieces(
+            simulation.layers[0].x, self._moved, self._settling.cells,
+            self._spacing(next_share), self._largest_stray_piece,
+        )  # fmt: skip
+        return 0
 
     def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], quarters: int) -> None:
         """Spread particles more evenly than the grid can, by at most their part of the path.
@@ -382,9 +389,7 @@ class Flow(MpmMethod[FlowOptions]):
         apart = np.interp(
             share, (SETTLING_BEGINS, 1), (options.separation, options.final_separation)
         )
-        first, last = self._path.volumes
-        expansion = (1 - share + share * last / first) ** (1 / 3)
-        spacing = float(expansion) * self.problem.config.spacing
+        spacing = self._spacing(share)
         allowed = options.settling * self._path_length - self._settled
         for rounds in range(quarters * options.rounds, (quarters - 1) * options.rounds, -1):
             left = (allowed - self._mean_move()) / rounds
@@ -393,6 +398,11 @@ class Flow(MpmMethod[FlowOptions]):
             self._settling.settle(
                 x, self._moved, body, distance=float(apart) * spacing, spacing=spacing, most=left
             )
+
+    def _spacing(self, share: float) -> float:
+        """Lattice spacing of the particles at a share of the way [dx]."""
+        first, last = self._path.volumes
+        return float(np.cbrt(1 - share + share * last / first)) * self.problem.config.spacing
 
     def _mean_move(self) -> float:
         """What particles were moved in this frame beside the flow, on average [dx]."""

@@ -69,12 +69,17 @@ def measure_body(
 
 def count_pieces(points: Points, spacing: float) -> int:
     """Number of connected pieces of the body: balls that touch belong together."""
+    return len(piece_sizes(points, spacing))
+
+
+def piece_sizes(points: Points, spacing: float) -> npt.NDArray[np.intp]:
+    """Number of particles in each connected piece of the body."""
     reach = 2 * COVERING_RADIUS_OVER_H * spacing
     pairs = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray")
     graph = scipy.sparse.coo_array(
         (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2
     )
-    return int(scipy.sparse.csgraph.connected_components(graph, directed=False)[0])
+    return np.bincount(scipy.sparse.csgraph.connected_components(graph, directed=False)[1])
 
 
 def body_surface(

@@ -20,13 +20,17 @@ from morph_engine.flow import (
     Settling,
     Warp,
     fine_axis,
+    gather_stray_pieces,
+    largest_stray_piece,
     match,
     prepare,
     sample_controls,
 )
+from morph_engine.flow.cell_list import CellList
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
 from morph_engine.geometry.signed_distance import cloud_distance, mesh_distance
+from morph_engine.metrics.body import count_pieces
 from morph_engine.morphing import prepare as prepare_run
 from morph_engine.mpm import Grid
 from morph_engine.presets import configure
@@ -144,10 +148,49 @@ def settled(x: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
     return positions.to_numpy(), moved.to_numpy()
 
 
+def make_ball(spacing: float, radius: float) -> np.ndarray:
+    """Lattice points of a ball."""
+    axis = np.arange(-radius, radius + spacing / 2, spacing)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points[np.linalg.norm(points, axis=1) < radius]
+
+
 def cubic_lattice(spacing: float) -> np.ndarray:
     """Points of a cube."""
     axis = np.arange(-3, 3.01, spacing)
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def gathered(x: np.ndarray, ends: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Particles of spacing 0.25 once stray pieces were gathered, and what they moved."""
+    backend.start("cpu", threads=2)
+    device = backend.active()
+    positions, moved = device.upload(np.float32(x)), device.scalars(len(x))
+    largest = largest_stray_piece(ends, 0.25)
+    gather_stray_pieces(positions, moved, CellList(len(x), GRID, 0.25), 0.25, largest)
+    return positions.to_numpy(), moved.to_numpy()
+
+
+def test_a_few_particles_that_came_off_go_back_to_the_body() -> None:
+    """Two crumbs side by side join the body, not each other; each keeps its form."""
+    ball = make_ball(0.25, 3.5)
+    single = np.array([[0, 0, 4.6], [0, 4.5, 0.1], [0, 4.5, 0.35]])
+    x = np.concatenate([ball, single])
+    after, moved = gathered(x, [ball, ball])
+    assert count_pieces(x, 0.25) == 3
+    assert count_pieces(after, 0.25) == 1
+    assert (after[: len(ball)] == np.float32(ball)).all()
+    assert after[-1] - after[-2] == pytest.approx(x[-1] - x[-2], abs=1e-6)
+    assert moved == pytest.approx(np.linalg.norm(after - x, axis=1), abs=1e-6)
+
+
+def test_pieces_that_the_ends_have_stay_apart() -> None:
+    """Where source or target is in pieces as small, none is taken for stray."""
+    ball = make_ball(0.25, 3.5)
+    x = np.concatenate([ball, [[0, 0, 4.6]]])
+    after, moved = gathered(x, [ball, x])
+    assert (after == np.float32(x)).all()
+    assert not moved.any()
 
 
 def test_particles_too_close_move_apart_evenly() -> None:

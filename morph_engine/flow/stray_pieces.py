@@ -1,0 +1,126 @@
+"""Small pieces that came off the body are brought back to it.
+
+Where a limb withdraws or a handle breaks, a few particles may stay behind. Two particles are linked
+where balls that cover a lattice of the spacing h touch, as in `metrics.count_pieces`.
+"""
+
+from typing import Any
+
+import numpy as np
+import scipy.spatial
+import taichi as ti
+from numpy.typing import NDArray
+
+from morph_engine import backend
+from morph_engine.flow.cell_list import CellList, cell_of
+from morph_engine.metrics.body import piece_sizes
+from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
+
+LINK = 2 * COVERING_RADIUS_OVER_H
+"""Particles closer than this are linked [h]."""
+
+REJOINED = 1.6
+"""Distance from the body to which a piece is brought [h]."""
+
+FEW = 8
+"""A small piece has particles with at most so many links; inside an even body each has 20."""
+
+LARGEST = 1e-3
+"""Share of all particles that a stray piece has, at most."""
+
+
+def largest_stray_piece(ends: list[NDArray[Any]], spacing: float) -> int:
+    """Particles of a stray piece, at most: fewer than any piece of the ends has.
+
+    Args:
+        ends: Particles of source and target [dx], shape [n, 3] and [m, 3].
+        spacing: Lattice spacing h of both [dx].
+    """
+    least = min(piece_sizes(points, spacing).min() / len(points) for points in ends)
+    return int(len(ends[0]) * min(LARGEST, least / 2))
+
+
+def gather_stray_pieces(x: Any, moved: Any, cells: CellList, spacing: float, largest: int) -> None:
+    """Bring stray pieces back to the body, each as it is, by the shortest move.
+
+    Args:
+        x: Positions [dx], device array, shape [n, 3]; changed in place.
+        moved: What each particle is moved is added to this [dx], shape [n].
+        cells: Lists the particles.
+        spacing: Lattice spacing of the particles by now [dx].
+        largest: Particles of a stray piece, at most.
+    """
+    cells.build(x)
+    few = backend.active().integers(x.shape[0])
+    _mark_few_links(
+        x, few, cells.first, cells.order, cells.origin, cells.edge, cells.per_axis, LINK * spacing
+    )
+    starts = np.flatnonzero(few.to_numpy())
+    if not len(starts):
+        return
+    positions = x.to_numpy()
+    pieces = find_small_pieces(positions, starts, LINK * spacing, largest)
+    if not pieces:
+        return
+    body = np.delete(positions, np.concatenate(pieces), axis=0)
+    tree, lengths = scipy.spatial.cKDTree(body), moved.to_numpy()
+    for piece in pieces:
+        gaps, nearest = tree.query(positions[piece])
+        first = int(np.argmin(gaps))
+        share = 1 - REJOINED * spacing / gaps[first]
+        move = share * (body[nearest[first]] - positions[piece[first]])
+        positions[piece] += move
+        lengths[piece] += np.linalg.norm(move)
+    x.from_numpy(positions)
+    moved.from_numpy(lengths)
+
+
+def find_small_pieces(
+    x: NDArray[Any], starts: NDArray[np.intp], reach: float, largest: int
+) -> list[NDArray[np.intp]]:
+    """Connected pieces of at most `largest` particles that hold one of `starts`.
+
+    Args:
+        x: Positions [dx], shape [n, 3].
+        starts: Particles to begin at.
+        reach: Particles closer than this are linked [dx].
+        largest: Number of particles.
+    """
+    tree = scipy.spatial.cKDTree(x)
+    seen: set[int] = set()
+    pieces = []
+    for start in starts.tolist():
+        piece, border = {start}, {start}
+        while border and len(piece) <= largest and seen.isdisjoint(border):
+            linked = tree.query_ball_point(x[sorted(border)], reach)
+            border = set().union(*linked) - piece
+            piece |= border
+        if not border and len(piece) <= largest:
+            pieces.append(np.array(sorted(piece)))
+        seen |= piece
+    return pieces
+
+
+@ti.kernel
+def _mark_few_links(
+    x: ti.types.ndarray(),
+    few: ti.types.ndarray(),
+    first: ti.types.ndarray(),
+    order: ti.types.ndarray(),
+    origin: float,
+    edge: float,
+    cells: int,
+    reach: float,
+):
+    for p in range(x.shape[0]):
+        low = cell_of(x[p] - reach, origin, edge, cells)
+        high = cell_of(x[p] + reach, origin, edge, cells)
+        links = -1  # to itself
+        for i in range(low.x, high.x + 1):
+            for j in range(low.y, high.y + 1):
+                row = (i * cells + j) * cells
+                if links <= FEW:
+                    for slot in range(first[row + low.z], first[row + high.z + 1]):
+                        if (x[p] - x[order[slot]]).norm_sqr() < reach * reach:
+                            links += 1
+        few[p] = int(links <= FEW)
