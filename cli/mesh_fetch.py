@@ -198,7 +198,7 @@ class MeshFetch:
                     f"{original.name} is not what it should be: its SHA-256 is {digest} and not "
                     f"{expected}; it has been removed.",
                     "Repeat the command, or name another place with --from. If its author has "
-                    f"changed it, delete its line in {self._folder / CHECKSUMS}.",
+                    "changed it, give a list with its new digest as --checksums.",
                 )
             complete(part, target)
         self._obtained[original.name] = "as known" if expected else "recorded now"

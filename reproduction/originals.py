@@ -172,12 +172,23 @@ _SCANS = "https://graphics.stanford.edu/pub/3Dscanrep"
 
 SPOT = Original(f"{_CRANE}/spot.zip", "spot_triangulated.obj", "Keenan Crane, CC0")
 BOB = Original(f"{_CRANE}/bob.zip", "bob_tri.obj", "Keenan Crane, CC0")
-BUNNY = Original(f"{_SCANS}/bunny.tar.gz", "bun_zipper.ply", _STANFORD)
-DRAGON = Original(f"{_SCANS}/dragon/dragon_recon.tar.gz", "dragon_vrip_res3.ply", _STANFORD)
+BUNNY = Original(
+    f"{_SCANS}/bunny.tar.gz",
+    "bun_zipper.ply",
+    _STANFORD,
+    "a5720bd96d158df403d153381b8411a727a1d73cff2f33dc9b212d6f75455b84",
+)
+DRAGON = Original(
+    f"{_SCANS}/dragon/dragon_recon.tar.gz",
+    "dragon_vrip_res3.ply",
+    _STANFORD,
+    "74ac1d90989c9b1732edee82d57e9ce71452144cf4355f108d8c9c616d28d02f",
+)
 TEAPOT = Original(
     f"{_TEST_MODELS}/f96f1e93ec315a43cc771d596fcdc4268bd8b047/data/teapot.obj",
     "teapot.obj",
     "Martin Newell",
+    "1b5396fedd74b577e32cef41146582c2f2e1a050d5b4915193c0ac1ad4187ed4",
 )
 
 RECIPES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -95,6 +96,15 @@ def originals():
 
 
 @pytest.fixture
+def sums(originals, tmp_path):
+    """A list of their digests, which are not those of the files that the public has."""
+    path = tmp_path / "originals.sha256"
+    lines = (f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in originals[0].items())
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.fixture
 def web(originals):
     """A mirror of the originals."""
     with running() as server:
@@ -102,9 +112,11 @@ def web(originals):
         yield server
 
 
-def test_one_command_puts_everything_in_place(web, originals, tmp_path):
+def test_one_command_puts_everything_in_place(web, originals, sums, tmp_path):
     """Public meshes vertex by vertex as the paper has them, others within their bounds."""
-    outcome = morph("shapes", "fetch", "--from", web.url, "--json", home=tmp_path)
+    outcome = morph(
+        "shapes", "fetch", "--from", web.url, "--checksums", sums, "--json", home=tmp_path
+    )
     assert outcome.returncode == 0, outcome.stderr
     document = json.loads(outcome.stdout)
     assert document["folder"] == "meshes"
@@ -131,14 +143,15 @@ def test_one_command_puts_everything_in_place(web, originals, tmp_path):
     assert len(web.requests) == 5
 
 
-def test_a_killed_download_is_resumed_by_the_same_command(web, tmp_path):
+def test_a_killed_download_is_resumed_by_the_same_command(web, sums, tmp_path):
     """Ctrl-C in the midst: exit status 130, what has arrived is kept, and the rest is asked for."""
     with running() as slow:
         whole = web.files["bunny.tar.gz"]
         slow.files["bunny.tar.gz"] = whole
         slow.pauses = [100_000]
+        command = "shapes", "fetch", "bunny.obj", "--from", slow.url, "--checksums", str(sums)
         process = subprocess.Popen(
-            [MORPH, "shapes", "fetch", "bunny.obj", "--from", slow.url],
+            [MORPH, *command],
             cwd=tmp_path, env=environment(tmp_path), stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         part = tmp_path / "meshes" / "originals" / "bunny.tar.gz.part"
@@ -151,7 +164,7 @@ def test_a_killed_download_is_resumed_by_the_same_command(web, tmp_path):
         assert process.returncode == 130
         arrived = part.stat().st_size
         assert 0 < arrived <= 100_000
-        outcome = morph("shapes", "fetch", "bunny.obj", "--from", slow.url, home=tmp_path)
+        outcome = morph(*command, home=tmp_path)
         assert outcome.returncode == 0, outcome.stderr
         assert slow.ranges() == ["", f"bytes={arrived}-"]
     assert part.with_suffix("").read_bytes() == whole
@@ -166,6 +179,14 @@ def test_wrong_and_absent_originals_end_with_a_cause_and_a_remedy(web, tmp_path)
     assert outcome.returncode == 2 and "404 Not Found" in outcome.stderr
     assert outcome.stderr.endswith("an address or a folder that has bob.zip.\n")
     assert not list((tmp_path / "meshes").glob("**/*.zip*"))
+
+
+def test_another_file_than_the_public_original_is_refused(web, tmp_path):
+    """What the mirror has as the bunny is no file of Stanford's."""
+    outcome = morph("shapes", "fetch", "bunny.obj", "--from", web.url, home=tmp_path)
+    assert outcome.returncode == 2
+    assert f"and not {RECIPES['bunny.obj'].original.sha256}; it has been removed" in outcome.stderr
+    assert not list((tmp_path / "meshes").glob("**/bunny*"))
 
 
 def test_reproduce_fetches_what_is_missing(web, tmp_path):

@@ -175,9 +175,17 @@ def test_wrong_bytes_are_refused_and_removed(web, tmp_path):
     web.files["box.zip"] = wrong
     for path in (tmp_path / "originals" / "box.zip", tmp_path / "box.obj"):
         path.unlink()
-    with pytest.raises(MeshError, match=r"delete its line in .*SHA256SUMS"):
+    with pytest.raises(MeshError, match="a list with its new digest as --checksums"):
         fetch(tmp_path, web.url)
     assert left_behind(tmp_path) == []
+
+
+def test_a_list_overrules_the_catalogue(web, tmp_path):
+    """So an original that its author has changed can still be had."""
+    sums = tmp_path / "sums"
+    sums.write_text(f"{sha256(web.files['box.zip'])}  box.zip\n")
+    (mesh,) = fetch(tmp_path, web.url, sha256=sha256(b"older"), checksums=sums)
+    assert mesh.checked == "as known"
 
 
 def test_another_mesh_than_the_papers_is_refused_and_removed(web, tmp_path):
