@@ -156,17 +156,18 @@ def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
     }
 
 
-def deviations(surface: Surface, target_mesh: Mesh) -> tuple[Deviation, Deviation]:
-    """How far a surface is off at each of 20 000 points of it, and of the target's.
+def deviations(
+    surface: Surface, target_mesh: Mesh, *, count: int = SAMPLES, seed: int = 0
+) -> tuple[Deviation, Deviation]:
+    """How far a surface is off at random points of it, and of the target's, spread by area.
 
     Returns:
         From the surface to the target, and back: distances to the nearest point of any triangle
         of the other mesh [dx], and angles between the two triangles' normals there [degrees], shape
-        [20000], float64 both.
+        [count], float64 both.
     """
-    there = _deviation(surface.vertices, surface.faces, target_mesh.vertices, target_mesh.faces)
-    back = _deviation(target_mesh.vertices, target_mesh.faces, surface.vertices, surface.faces)
-    return there, back
+    ours, target = (surface.vertices, surface.faces), (target_mesh.vertices, target_mesh.faces)
+    return _deviation(*ours, *target, count, seed), _deviation(*target, *ours, count, seed)
 
 
 def _interpolated(
@@ -224,9 +225,11 @@ def _deviation(
     faces: npt.NDArray[np.int32],
     other_vertices: npt.NDArray[np.float64],
     other_faces: npt.NDArray[np.int32],
+    count: int,
+    seed: int,
 ) -> Deviation:
     shape = trimesh.Trimesh(vertices, faces, process=False)
-    points, on = trimesh.sample.sample_surface(shape, SAMPLES, seed=0)
+    points, on = trimesh.sample.sample_surface(shape, count, seed=seed)
     squared, near, _ = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points, np.float64), other_vertices, other_faces.astype(np.int64)
     )

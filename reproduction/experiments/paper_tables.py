@@ -476,10 +476,12 @@ FAIRNESS = Experiment(
 )  # fmt: skip
 
 
-def _rested(source: str, target: str, variant: str = "", weight: float = 0.0) -> Run:
-    """DCO in the paper's 1200 steps, with an epsilon that lets it come to rest."""
-    overrides = CONVERGED | ({"regularizers.repulsion": weight} if weight else {})
-    return shape_run(source, target, "dco", variant=f"{variant}eps8", overrides=overrides)
+def rested(
+    source: str, target: str, method: str = "dco", *, variant: str = "", repulsion: float = 0.0
+) -> Run:
+    """A method of points in the paper's 1200 steps, with an epsilon that lets it come to rest."""
+    overrides = CONVERGED | ({"regularizers.repulsion": repulsion} if repulsion else {})
+    return shape_run(source, target, method, variant=f"{variant}eps8", overrides=overrides)
 
 
 REST = Experiment(
@@ -491,7 +493,7 @@ REST = Experiment(
         for source, target in PAIR_NAMES
         for label, run in (
             ("physics", shape_run(source, target, "physics")),
-            ("DCO at rest", _rested(source, target)),
+            ("DCO at rest", rested(source, target)),
         )
     ),
     remarks=(
@@ -515,9 +517,12 @@ REPULSION = Experiment(
         "rho_p95", "iou",
     ),
     rows=(
-        _row("DCO at rest", _rested("Sphere", "Bunny")),
+        _row("DCO at rest", rested("Sphere", "Bunny")),
         *(
-            _row(f"Repulsion {weight:g}", _rested("Sphere", "Bunny", f"rep{name}-", weight))
+            _row(
+                f"Repulsion {weight:g}",
+                rested("Sphere", "Bunny", variant=f"rep{name}-", repulsion=weight),
+            )
             for name, weight in (("1e-4", 1e-4), ("1e-3", 1e-3), ("1e-2", 1e-2))
         ),
         _row("Physics", _bunny("physics")),
