@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from chamfer_morph.reproduction.experiments.defaults import DEFAULTS
 from chamfer_morph.reproduction.experiments.experiment import Experiment, distinct
 from chamfer_morph.reproduction.experiments.extensions import EXTENSIONS
 from chamfer_morph.reproduction.experiments.paper_tables import PAPER_TABLES
@@ -61,7 +62,7 @@ STANDALONE = {
     )
 }
 
-EXPERIMENTS: dict[str, AnyExperiment] = {**PAPER_TABLES, **EXTENSIONS, **STANDALONE}
+EXPERIMENTS: dict[str, AnyExperiment] = {**PAPER_TABLES, **EXTENSIONS, **DEFAULTS, **STANDALONE}
 
 
 def select(names: Sequence[str], *, quick: bool = False) -> tuple[AnyExperiment, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from chamfer_morph.reproduction.meshes import MeshFolder
     from chamfer_morph.reproduction.registry import AnyExperiment
     from chamfer_morph.reproduction.report.section import Section
+    from chamfer_morph.reproduction.runs.run import Run
     from chamfer_morph.reproduction.runs.store import Record, Store
 
 app: typer.Typer = typer.Typer()
@@ -62,6 +64,7 @@ def reproduce(
     from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
     from chamfer_morph.reproduction.registry import runs_of, select
     from chamfer_morph.reproduction.report.writer import write
+    from chamfer_morph.reproduction.runs.ends import with_ends
     from chamfer_morph.reproduction.runs.store import Store
 
     if not tables:
@@ -84,6 +87,7 @@ def reproduce(
         key=key,
         quiet=quiet,
     )
+    records = with_ends(_runs_by_mesh(experiments), records, store, folder)
     output = write(experiments, records, store)
     failed = [record for record in records.values() if not record.is_complete]
     if as_json:
@@ -145,6 +149,14 @@ def _compute(
             return execute_remotely(
                 client, runs, store, meshes, any_code=any_code, on_progress=display.show
             )
+
+
+def _runs_by_mesh(experiments: Iterable[AnyExperiment]) -> tuple[Run, ...]:
+    """Runs whose ends are measured by points that no method has seen."""
+    from chamfer_morph.reproduction.experiments.experiment import Experiment
+    from chamfer_morph.reproduction.registry import runs_of
+
+    return runs_of(each for each in experiments if isinstance(each, Experiment) and each.by_mesh)
 
 
 def _print_list(*, as_json: bool) -> None:

@@ -299,6 +299,18 @@ METRICS |= {
         "lower",
         "`dense_t2s` of as many particles on a cubic lattice",
     ),
+    "dense_s2t": MetricDefinition(
+        "sqrt(mean_p min_z norm(x_p - z)^2)",
+        "dx",
+        "lower",
+        "how far particles are from the target's volume",
+    ),
+    "dense_s2t_floor": MetricDefinition(
+        "sqrt(mean_z min over z' != z of norm(z - z')^2)",
+        "dx",
+        "lower",
+        "`dense_s2t` of particles at random places inside the target",
+    ),
     "covered": MetricDefinition(
         "mean_z [d(z) < 0.87 h]",
         "share",

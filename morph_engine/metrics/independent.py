@@ -6,6 +6,8 @@ destinations come from the target's lattice has no advantage.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import igl
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +15,94 @@ import scipy
 
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points, finite_points
-from morph_engine.geometry.surface_reconstruction import Surface, deviations
+from morph_engine.geometry.surface_reconstruction import SAMPLES, Surface, deviations
 from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.body import body_surface
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
-DENSITY_SAMPLES = 10_000
-"""Places at which the density is taken."""
-
 LEVEL_SAMPLES = 40_000
 """Random points whose distance to the body's surface is taken, which is slow."""
+
+FIRST_SHARE = 0.2
+"""Share of the box that a mesh is first taken to fill, until points tell."""
+
+
+class Reference:
+    """Points that stand for a mesh's volume, drawn by a seed, and what particles measure by them.
+
+    Args:
+        mesh: Target mesh in grid units.
+        count: Number of random points inside the mesh, and about that of the lattice.
+        seed: Of the random points and the lattice's offset.
+    """
+
+    def __init__(self, mesh: Mesh, *, count: int = 100_000, seed: int = 0) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._bounds = mesh.bounds
+        self._samples, self._wanted = _random_points(mesh, count, self._rng)
+        self._inner = self._samples[self._wanted]
+        self.volume = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
+        self._tree = scipy.spatial.cKDTree(self._inner)
+        step = float(np.cbrt(self.volume / count))
+        self._lattice, self._even = _lattice(mesh, step, self._rng)
+
+    @cached_property
+    def floor(self) -> float:
+        """Rms distance from one of the random points to the nearest other one [dx]."""
+        apart, _ = self._tree.query(self._inner, k=2)
+        return _rms(apart[:, 1])
+
+    def spacing(self, count: int) -> float:
+        """Spacing of so many particles on a cubic lattice that fills the volume [dx]."""
+        return float(np.cbrt(self.volume / count))
+
+    def measure(self, positions: npt.ArrayLike, spacing: float) -> dict[str, float]:
+        """What `mesh_metrics` returns, of particles of a spacing [dx]."""
+        points, _ = finite_points(positions)
+        tree = scipy.spatial.cKDTree(points)
+        radius = COVERING_RADIUS_OVER_H * spacing
+        samples, wanted = self._with_those_beyond(points, radius)
+        distance, _ = tree.query(samples, distance_upper_bound=2 * radius)
+        alone = wanted & np.isinf(distance)
+        distance[alone], _ = tree.query(samples[alone])
+        filled = distance < radius
+
+        some = self._rng.permutation(np.flatnonzero(wanted | (distance < 2 * radius)))
+        some = some[:LEVEL_SAMPLES]
+        level = _of_volume(points, spacing, samples[some], filled[some], int(wanted[some].sum()))
+        density = np.quantile(self._density(tree), [0.05, 0.95])
+        return {
+            "dense_t2s": _rms(distance[wanted]),
+            "dense_floor": self.spacing(len(points)) / 2,
+            "dense_s2t": _rms(self._tree.query(points)[0]),
+            "dense_s2t_floor": self.floor,
+            "covered": float(filled[wanted].mean()),
+            "mesh_iou": _overlap(filled, wanted),
+            "mesh_iou_level": _overlap(level, wanted[some]),
+            "density_p05": float(density[0]),
+            "density_p95": float(density[1]),
+        }
+
+    def _with_those_beyond(
+        self, points: Points, radius: float
+    ) -> tuple[Points, npt.NDArray[np.bool_]]:
+        """Points drawn as densely wherever a particle reaches, and which are inside the mesh."""
+        low, high = self._bounds
+        lower = np.minimum(low, points.min(axis=0) - radius)
+        upper = np.maximum(high, points.max(axis=0) + radius)
+        count = round(len(self._samples) * np.prod(upper - lower) / np.prod(high - low))
+        more = self._rng.uniform(lower, upper, (count, 3))
+        more = more[((more < low) | (more > high)).any(axis=1)]
+        return (
+            np.concatenate([self._samples, more]),
+            np.concatenate([self._wanted, np.zeros(len(more), bool)]),
+        )
+
+    def _density(self, particles: scipy.spatial.cKDTree) -> Points:
+        """Particles within dx of points of the lattice, over those of an even fill [ratio]."""
+        here = particles.query_ball_point(self._lattice, 1.0, return_length=True)
+        ratio: Points = here / self._even * (len(self._lattice) / particles.n)
+        return ratio
 
 
 def mesh_metrics(
@@ -33,7 +113,7 @@ def mesh_metrics(
     sample_count: int = 100_000,
     seed: int = 0,
 ) -> dict[str, float]:
-    """How well particles fill a mesh, by random points of its volume.
+    """How well particles fill a mesh, by points of its volume.
 
     Args:
         positions: Particle positions [dx], shape [n, 3].
@@ -45,49 +125,28 @@ def mesh_metrics(
     Returns:
         ``dense_t2s`` [dx]: rms distance from a point of the mesh to the nearest particle;
         ``dense_floor`` [dx]: the same for as many particles on a cubic lattice that fills the
-        mesh's volume, (V / n)^(1/3) / 2; ``covered``: share of points that are within 0.87 h of a
-        particle; ``mesh_iou``: volume overlap of body and mesh; ``mesh_iou_level``: the same after
-        the body is shrunk or grown evenly to the mesh's volume; ``density_p05`` and
-        ``density_p95``: quantiles, over points of the mesh, of the number of particles within dx
-        over that of an even fill.
+        mesh's volume, (V / n)^(1/3) / 2; ``dense_s2t`` [dx]: rms distance from a particle to the
+        nearest point of the mesh; ``dense_s2t_floor`` [dx]: the same for particles at random places
+        inside the mesh; ``covered``: share of points that are within 0.87 h of a particle;
+        ``mesh_iou``: volume overlap of body and mesh; ``mesh_iou_level``: the same after the body
+        is shrunk or grown evenly to the mesh's volume; ``density_p05`` and ``density_p95``:
+        quantiles, over a lattice in the mesh, of the number of particles within dx over that of an
+        even fill.
     """
-    rng = np.random.default_rng(seed)
-    points, _ = finite_points(positions)
-    tree = scipy.spatial.cKDTree(points)
-    radius = COVERING_RADIUS_OVER_H * spacing
-
-    lower = np.minimum(mesh.bounds[0], points.min(axis=0) - radius)
-    upper = np.maximum(mesh.bounds[1], points.max(axis=0) + radius)
-    samples, wanted = _random_points(mesh, lower, upper, sample_count, rng)
-    distance, _ = tree.query(samples, distance_upper_bound=2 * radius)
-    alone = wanted & np.isinf(distance)
-    distance[alone], _ = tree.query(samples[alone])
-    filled = distance < radius
-    volume = np.prod(upper - lower) * wanted.mean()
-
-    density = np.quantile(_density(tree, samples[wanted], mesh, spacing, rng), [0.05, 0.95])
-    some = rng.permutation(np.flatnonzero(wanted | (distance < 2 * radius)))[:LEVEL_SAMPLES]
-    level = _of_volume(points, spacing, samples[some], filled[some], int(wanted[some].sum()))
-    return {
-        "dense_t2s": float(np.sqrt(np.mean(distance[wanted] ** 2))),
-        "dense_floor": float(np.cbrt(volume / len(points)) / 2),
-        "covered": float(filled[wanted].mean()),
-        "mesh_iou": _overlap(filled, wanted),
-        "mesh_iou_level": _overlap(level, wanted[some]),
-        "density_p05": float(density[0]),
-        "density_p95": float(density[1]),
-    }
+    return Reference(mesh, count=sample_count, seed=seed).measure(positions, spacing)
 
 
-def surface_metrics(surface: Surface, mesh: Mesh) -> dict[str, float]:
-    """How far a reconstructed surface is off the mesh, over points spread evenly on both.
+def surface_metrics(
+    surface: Surface, mesh: Mesh, *, sample_count: int = SAMPLES, seed: int = 0
+) -> dict[str, float]:
+    """How far a reconstructed surface is off the mesh, over random points spread evenly on both.
 
     Returns:
         ``surface_mean`` and ``surface_p95`` [dx]: mean and 95 % quantile of the distance to the
         other surface, the larger of both directions; ``normal_mean`` [degrees]: mean angle between
         the normals at a point and at the nearest one, over both directions.
     """
-    (there, turned), (back, turned_back) = deviations(surface, mesh)
+    (there, turned), (back, turned_back) = deviations(surface, mesh, count=sample_count, seed=seed)
     return {
         "surface_mean": max(float(there.mean()), float(back.mean())),
         "surface_p95": max(float(np.quantile(distance, 0.95)) for distance in (there, back)),
@@ -96,40 +155,35 @@ def surface_metrics(surface: Surface, mesh: Mesh) -> dict[str, float]:
 
 
 def _random_points(
-    mesh: Mesh, lower: Points, upper: Points, count: int, rng: np.random.Generator
+    mesh: Mesh, count: int, rng: np.random.Generator
 ) -> tuple[Points, npt.NDArray[np.bool_]]:
-    """Random points of a box, `count` or a few more of them inside the mesh, and which are."""
+    """Random points of a mesh's box, `count` or a few more of them inside, and which are."""
     samples, wanted = np.empty((0, 3)), np.empty(0, bool)
     while (found := np.count_nonzero(wanted)) < count:
-        share = max(found / max(len(wanted), 1), 0.02) if len(wanted) else 0.2
-        more = rng.uniform(lower, upper, (int((count - found) / share * 1.02) + 1, 3))
+        share = max(found / len(wanted), 0.02) if len(wanted) else FIRST_SHARE
+        more = rng.uniform(*mesh.bounds, (int((count - found) / share * 1.02) + 1, 3))
         samples = np.concatenate([samples, more])
         wanted = np.concatenate([wanted, inside(mesh, more)])
     return samples, wanted
 
 
-def _density(
-    particles: scipy.spatial.cKDTree,
-    inner: Points,
-    mesh: Mesh,
-    spacing: float,
-    rng: np.random.Generator,
-) -> Points:
-    """Particles within dx of inner points of the mesh, over those of an even fill [ratio].
-
-    A lattice of random offset and half the spacing tells how many an even fill has.
-    """
+def _lattice(
+    mesh: Mesh, step: float, rng: np.random.Generator
+) -> tuple[Points, npt.NDArray[np.int64]]:
+    """A lattice of random offset in a mesh, and how many of its points are within dx of each."""
     lower, upper = mesh.bounds
-    first = lower - rng.random(3) * spacing / 2
-    axes = [np.arange(a, b, spacing / 2) for a, b in zip(first, upper, strict=True)]
-    box = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    lattice = box[inside(mesh, box)]
-    here, even = (
-        tree.query_ball_point(inner[:DENSITY_SAMPLES], 1.0, return_length=True)
-        for tree in (particles, scipy.spatial.cKDTree(lattice))
-    )
-    ratio: Points = here / even * (len(lattice) / particles.n)
-    return ratio
+    first = lower - rng.random(3) * step
+    axes = [np.arange(a, b + step, step) for a, b in zip(first, upper, strict=True)]
+    box = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    kept = inside(mesh, box.reshape(-1, 3)).reshape(box.shape[:3])
+    reach = np.arange(-int(1 / step), int(1 / step) + 1) * step
+    ball = np.sum(np.stack(np.meshgrid(reach, reach, reach)) ** 2, axis=0) <= 1
+    count = scipy.signal.fftconvolve(kept.astype(float), ball.astype(float), mode="same")
+    return box[kept], np.rint(count[kept]).astype(np.int64)
+
+
+def _rms(values: Points) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _overlap(a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_]) -> float:

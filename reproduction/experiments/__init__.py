@@ -1,1 +1,1 @@
-"""Experiments as data: the tables of the paper, and those that go past it."""
+"""Experiments as data: the paper's tables, those past it, and those behind the defaults."""

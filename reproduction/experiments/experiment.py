@@ -42,6 +42,8 @@ class Experiment:
         printed_in: The experiment whose printed numbers the rows have, by their labels; empty for
             its own.
         has_table: Whether there is a table, not figures alone.
+        by_mesh: Whether its numbers are those of `Record.ends`, by points that no method has seen,
+            and not those that the runs have measured themselves.
         in_all: Whether it is a part of `morph reproduce all`.
     """
 
@@ -53,6 +55,7 @@ class Experiment:
     remarks: tuple[str, ...] = ()
     printed_in: str = ""
     has_table: bool = True
+    by_mesh: bool = False
     in_all: bool = True
 
     @property

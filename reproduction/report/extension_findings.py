@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from math import inf
 from statistics import median
 
-from chamfer_morph.reproduction.report.tables import Table, distance_from_ideal
+from chamfer_morph.reproduction.report.tables import (
+    METRIC_NAMES,
+    NOT_COMPETING,
+    Table,
+    distance_from_ideal,
+)
 
 Bound = tuple[str, str, str, float, float]
 
@@ -53,6 +58,43 @@ def transport(table: Table) -> list[str]:
             sentences.append(f"{words} is {gains[worst]:+.3f} of joint's at the least ({worst}).")
     labels = [line.row.label for line in table.lines if line.row.label.endswith(", transport")]
     return [*sentences, *_cost(table), *bounds(table, labels)]
+
+
+def headline(table: Table) -> list[str]:
+    """Each method's median of each number, and how far a second draw of the points moves any."""
+    methods: dict[str, list[str]] = {}
+    for line in table.lines:
+        methods.setdefault(line.row.label.rpartition(", ")[2], []).append(line.row.label)
+    sentences = []
+    for metric in table.experiment.metrics:
+        if metric not in NOT_COMPETING:
+            medians = {
+                method: median(values)
+                for method, labels in methods.items()
+                if (values := list(table.numbers(metric, labels).values()))
+            }
+            parts = [f"{method} {value:.3f}" for method, value in medians.items()]
+            sentences.append(f"{METRIC_NAMES[metric]}, medians: {', '.join(parts)}.")
+    return [*sentences, *_largest_move(table)]
+
+
+def _largest_move(table: Table) -> list[str]:
+    """How far any number moves when the points are drawn again."""
+    moves = {
+        (line.row.label, metric): abs(first - second) / max(abs(first), abs(second))
+        for line in table.lines
+        for record in line.records
+        if len(record.ends) > 1
+        for metric in table.experiment.metrics
+        if (first := record.ends[0][metric]) != (second := record.ends[1][metric])
+    }
+    if not moves:
+        return []
+    label, metric = max(moves, key=lambda each: moves[each])
+    return [
+        f"With all points drawn again no number moves by more than {moves[label, metric]:.1%} "
+        f"({METRIC_NAMES[metric]} of {label})."
+    ]
 
 
 def _cost(table: Table) -> list[str]:

@@ -471,6 +471,7 @@ FINDINGS: dict[str, Finding] = {
     "repulsion": _repulsion,
     "seeds": _seeds,
     "trial": _trial,
+    "headline": extension_findings.headline,
     "transport": extension_findings.transport,
     "motion": extension_findings.motion,
     "ingredients": extension_findings.ingredients,

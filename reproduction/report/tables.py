@@ -39,16 +39,30 @@ METRIC_NAMES = {
     "rho_p50": "density 50%",
     "rho_p95": "density 95%",
     "rho_p99": "density 99%",
+    "dense_t2s": "t→s",
+    "dense_floor": "t→s, floor",
+    "dense_s2t": "s→t",
+    "dense_s2t_floor": "s→t, floor",
+    "mesh_iou_level": "IoU with the mesh",
+    "density_p05": "density 5%",
+    "density_p95": "density 95%",
     "surface_mean": "surface",
     "outside_max": "farthest outside",
     "least_gap_ever": "least gap / h",
     "det_f_min_ever": "least det F",
     "det_f_max_ever": "greatest det F",
     "max_move_ever": "farthest move",
+    "max_speed@0": "speed in frame 0",
+    "max_speed@1": "frame 1",
+    "max_speed@2": "frame 2",
+    "cpu_seconds": "CPU time [s]",
 }
 
 FLOOR = "overlap_floor"
 """The column of `coincidence_floor`."""
+
+NOT_COMPETING = {FLOOR, "ratio", "dense_floor", "dense_s2t_floor", "cpu_seconds"}
+"""Columns that tell where others end, or follow from them."""
 
 VERSION = "chamfer-morph"
 """The software whose version a number depends on first."""
@@ -187,7 +201,7 @@ def tabulate(experiment: Experiment, records: Mapping[str, Record]) -> Table:
         lines = _with_ratios(lines)
     if FLOOR in experiment.metrics:
         lines = [_with_floor(line) for line in lines]
-    for metric in set(experiment.metrics) - {FLOOR, "ratio"}:
+    for metric in set(experiment.metrics) - NOT_COMPETING:
         for group in {row.group for row in experiment.rows}:
             _mark_best(lines, metric, group)
     return Table(experiment, tuple(lines))
@@ -200,7 +214,8 @@ def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> Ta
     in_program = numbers.PROGRAM.get(row.runs[0].id, {})
     cells = {}
     for metric in experiment.metrics:
-        values = [record.metrics[metric] for record in complete if metric in record.metrics]
+        measured = [_numbers(record, experiment) for record in complete]
+        values = [numbers[metric] for numbers in measured if metric in numbers]
         is_whole = len(values) == len(row.runs)
         cells[metric] = Cell(
             printed=in_paper.get(metric),
@@ -210,6 +225,18 @@ def _line(experiment: Experiment, row: Row, records: Mapping[str, Record]) -> Ta
             is_failed=not is_whole and len(complete) < len(found),
         )
     return TableRow(row, cells, found)
+
+
+def _numbers(record: Record, experiment: Experiment) -> Mapping[str, float]:
+    """The numbers of a finished run that an experiment may show: name@3 is that of frame 3."""
+    if experiment.by_mesh:
+        return record.ends[0] if record.ends else {}
+    of_frames = {
+        f"{name}@{frame}": value
+        for name, curve in record.curves.items()
+        for frame, value in enumerate(curve)
+    }
+    return {**record.metrics, **of_frames, "cpu_seconds": record.provenance.cpu_seconds}
 
 
 def _with_ratios(lines: Sequence[TableRow]) -> list[TableRow]:

@@ -23,7 +23,7 @@ from morph_engine.results.trajectory import Trajectory
 
 CURVES = (
     "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "overlap_h10", "many_to_one",
-    "targets_used", "loss_physics", "loss_chamfer",
+    "targets_used", "loss_physics", "loss_chamfer", "max_speed",
 )  # fmt: skip
 """Metrics kept for every frame; the result file has all of them."""
 
@@ -56,6 +56,10 @@ class Record(BaseModel, frozen=True, ser_json_inf_nan="constants"):
         default_factory=dict, description="Of the last frame and of all, see `summarize`."
     )
     curves: dict[str, list[float]] = Field(default_factory=dict)
+    ends: list[dict[str, float]] = Field(
+        default_factory=list,
+        description="The last frame against the mesh, for each draw of points.",
+    )
 
     @model_validator(mode="before")
     @classmethod

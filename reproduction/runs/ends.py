@@ -1,0 +1,75 @@
+"""The end of a run against the mesh of its target, by points that no method has seen.
+
+Methods are given the target's lattice, and some take their particles' destinations from it. So runs
+are compared by random points of the mesh and a lattice of random offset, drawn anew a second time:
+what the two draws differ by is what a number owes to the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.runs.run import Run
+from chamfer_morph.reproduction.runs.store import Record, Store
+from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.point_cloud import Points
+from morph_engine.geometry.shapes import resolve_shape
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
+from morph_engine.metrics.independent import Reference, surface_metrics
+
+SEEDS = (1, 2)
+"""One for each draw."""
+
+POINTS = 100_000
+"""Random points of the volume, and of either surface; points of the lattice are about as many."""
+
+
+def with_ends(
+    runs: Sequence[Run], records: Mapping[str, Record], store: Store, meshes: MeshFolder
+) -> dict[str, Record]:
+    """Records with the ends of these runs, measured and kept in the store where they lack them.
+
+    A run whose result file is gone keeps the ends that it has, if any.
+
+    Raises:
+        MorphError: A mesh is missing, a result damaged, or the disk refuses.
+    """
+    found = dict(records)
+    for run in sorted(runs, key=lambda run: run.target):  # so that points are drawn once a target
+        record = found.get(run.id)
+        if record is None or not record.is_complete or record.ends:
+            continue
+        if store.result_path(run).is_file():
+            with store.trajectory(run) as result:
+                ends = measure_end(result.positions(-1), meshes.locate(run.target))
+            found[run.id] = record.model_copy(update={"ends": ends})
+            store.save(found[run.id])
+    return found
+
+
+def measure_end(positions: Points, target: str) -> list[dict[str, float]]:
+    """Measure particles against a mesh in grid units, by each draw.
+
+    The spacing of as many particles in the mesh's volume is that of an even fill, whatever the
+    method: it gives the body its radius and the surface its resolution.
+
+    Args:
+        positions: Of all particles [dx], shape [n, 3].
+        target: What the engine is to open for the target.
+    """
+    mesh, references = _references(target)
+    spacing = references[0].spacing(len(positions))
+    surface = reconstruct_surface(positions, spacing)
+    return [
+        reference.measure(positions, spacing)
+        | surface_metrics(surface, mesh, sample_count=POINTS, seed=seed)
+        for reference, seed in zip(references, SEEDS, strict=True)
+    ]
+
+
+@lru_cache(maxsize=1)
+def _references(target: str) -> tuple[Mesh, tuple[Reference, ...]]:
+    mesh = resolve_shape(target)
+    return mesh, tuple(Reference(mesh, count=POINTS, seed=seed) for seed in SEEDS)
