@@ -20,11 +20,11 @@ from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.body import body_surface
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
+SUBCELLS = 8
+"""Parts of a raster cell along each axis, by which its share in a ball is taken."""
+
 LEVEL_SAMPLES = 40_000
 """Random points whose distance to the body's surface is taken, which is slow."""
-
-FIRST_SHARE = 0.2
-"""Share of the box that a mesh is first taken to fill, until points tell."""
 
 
 class Reference:
@@ -34,22 +34,27 @@ class Reference:
         mesh: Target mesh in grid units.
         count: Number of random points inside the mesh, and about that of the lattice.
         seed: Of the random points and the lattice's offset.
+
+    Attributes:
+        points: Random points of the volume [dx], shape [count or a few more, 3].
+        lattice: Points of a lattice of random offset in it [dx], about as many.
+        volume: Of the mesh, by the random points [dx^3].
     """
 
     def __init__(self, mesh: Mesh, *, count: int = 100_000, seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
         self._bounds = mesh.bounds
         self._samples, self._wanted = _random_points(mesh, count, self._rng)
-        self._inner = self._samples[self._wanted]
+        self.points = self._samples[self._wanted]
         self.volume = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
-        self._tree = scipy.spatial.cKDTree(self._inner)
+        self._tree = scipy.spatial.cKDTree(self.points)
         step = float(np.cbrt(self.volume / count))
-        self._lattice, self._even = _lattice(mesh, step, self._rng)
+        self.lattice, self._even = _lattice(mesh, step, self._rng)
 
     @cached_property
     def floor(self) -> float:
         """Rms distance from one of the random points to the nearest other one [dx]."""
-        apart, _ = self._tree.query(self._inner, k=2)
+        apart, _ = self._tree.query(self.points, k=2)
         return _rms(apart[:, 1])
 
     def spacing(self, count: int) -> float:
@@ -99,9 +104,12 @@ class Reference:
         )
 
     def _density(self, particles: scipy.spatial.cKDTree) -> Points:
-        """Particles within dx of points of the lattice, over those of an even fill [ratio]."""
-        here = particles.query_ball_point(self._lattice, 1.0, return_length=True)
-        ratio: Points = here / self._even * (len(self._lattice) / particles.n)
+        """Particles within dx of points of the lattice, over those of an even fill [ratio].
+
+        Places come from a lattice, since quantiles over as many random ones move more.
+        """
+        here = particles.query_ball_point(self.lattice, 1.0, return_length=True)
+        ratio: Points = here / self._even * (len(self.lattice) / particles.n)
         return ratio
 
 
@@ -158,28 +166,40 @@ def _random_points(
     mesh: Mesh, count: int, rng: np.random.Generator
 ) -> tuple[Points, npt.NDArray[np.bool_]]:
     """Random points of a mesh's box, `count` or a few more of them inside, and which are."""
+    lower, upper = mesh.bounds
     samples, wanted = np.empty((0, 3)), np.empty(0, bool)
     while (found := np.count_nonzero(wanted)) < count:
-        share = max(found / len(wanted), 0.02) if len(wanted) else FIRST_SHARE
-        more = rng.uniform(*mesh.bounds, (int((count - found) / share * 1.02) + 1, 3))
+        share = max(found / len(wanted), 0.02) if len(wanted) else 1.0
+        more = rng.uniform(lower, upper, (int((count - found) / share * 1.02) + 1, 3))
         samples = np.concatenate([samples, more])
         wanted = np.concatenate([wanted, inside(mesh, more)])
     return samples, wanted
 
 
-def _lattice(
-    mesh: Mesh, step: float, rng: np.random.Generator
-) -> tuple[Points, npt.NDArray[np.int64]]:
-    """A lattice of random offset in a mesh, and how many of its points are within dx of each."""
+def _lattice(mesh: Mesh, step: float, rng: np.random.Generator) -> tuple[Points, Points]:
+    """A lattice of random offset in a mesh, and how much of it is within dx of each point.
+
+    Of a point at the rim of the ball counts the part of its cell that the ball has, so that inside
+    the mesh it is the ball's volume in cells.
+    """
     lower, upper = mesh.bounds
     first = lower - rng.random(3) * step
     axes = [np.arange(a, b + step, step) for a, b in zip(first, upper, strict=True)]
     box = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     kept = inside(mesh, box.reshape(-1, 3)).reshape(box.shape[:3])
-    reach = np.arange(-int(1 / step), int(1 / step) + 1) * step
-    ball = np.sum(np.stack(np.meshgrid(reach, reach, reach)) ** 2, axis=0) <= 1
-    count = scipy.signal.fftconvolve(kept.astype(float), ball.astype(float), mode="same")
-    return box[kept], np.rint(count[kept]).astype(np.int64)
+    within: Points = scipy.signal.fftconvolve(kept.astype(float), _ball(step), mode="same")
+    return box[kept], within[kept]
+
+
+def _ball(step: float) -> Points:
+    """Share of each cell of a raster that is within dx of the middle of the central one."""
+    reach = int(1 / step + 0.5)
+    fine = (np.arange((2 * reach + 1) * SUBCELLS) + 0.5) / SUBCELLS - reach - 0.5  # in cells
+    square = (fine * step) ** 2
+    is_within = square[:, None, None] + square[:, None] + square <= 1
+    cells = is_within.reshape((2 * reach + 1, SUBCELLS) * 3)
+    share: Points = cells.mean(axis=(1, 3, 5))
+    return share
 
 
 def _rms(values: Points) -> float:

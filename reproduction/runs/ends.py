@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
+import numpy.typing as npt
+
 from chamfer_morph.reproduction.meshes import MeshFolder
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.store import Record, Store
 from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.point_cloud import Points
+from morph_engine.geometry.point_cloud import finite_points
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.metrics.independent import Reference, surface_metrics
@@ -49,7 +51,7 @@ def with_ends(
     return found
 
 
-def measure_end(positions: Points, target: str) -> list[dict[str, float]]:
+def measure_end(positions: npt.ArrayLike, target: str) -> list[dict[str, float]]:
     """Measure particles against a mesh in grid units, by each draw.
 
     The spacing of as many particles in the mesh's volume is that of an even fill, whatever the
@@ -60,10 +62,11 @@ def measure_end(positions: Points, target: str) -> list[dict[str, float]]:
         target: What the engine is to open for the target.
     """
     mesh, references = _references(target)
-    spacing = references[0].spacing(len(positions))
-    surface = reconstruct_surface(positions, spacing)
+    points, _ = finite_points(positions)
+    spacing = references[0].spacing(len(points))
+    surface = reconstruct_surface(points, spacing)
     return [
-        reference.measure(positions, spacing)
+        reference.measure(points, spacing)
         | surface_metrics(surface, mesh, sample_count=POINTS, seed=seed)
         for reference, seed in zip(references, SEEDS, strict=True)
     ]

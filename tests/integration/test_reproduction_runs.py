@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.runs.ends import with_ends
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.run_process import compute
 from chamfer_morph.reproduction.runs.store import Store
@@ -107,3 +108,17 @@ def test_a_result_without_its_record_counts_if_the_same_code_made_it(
     assert record.provenance.code == RUN.code
     is_kept = store.result_path(RUN).stat().st_mtime_ns == written
     assert is_kept == (code == RUN.code) == (record.provenance.cpu_seconds == LONG_AGO)
+
+
+def test_a_record_keeps_its_end_against_the_mesh(tmp_path, meshes) -> None:
+    """It is measured once, from the result file, and told when that is gone."""
+    store = Store(tmp_path / "results")
+    record = compute(RUN, store, meshes, threads=1)
+    assert not record.ends
+    measured = with_ends([RUN], {RUN.id: record}, store, meshes)[RUN.id]
+    first, second = measured.ends
+    assert first.keys() == second.keys() and first != second
+    assert {"dense_t2s", "dense_s2t", "mesh_iou_level", "surface_mean"} <= first.keys()
+    store.result_path(RUN).unlink()
+    kept = store.find(RUN, RUN.digest(meshes))
+    assert kept == measured == with_ends([RUN], {RUN.id: kept}, store, meshes)[RUN.id]

@@ -182,6 +182,10 @@ def test_an_even_fill_of_a_mesh(cube):
     # the square of a distance has a spread of .5 of its mean, over 100 000 points
     assert m["dense_t2s"] == pytest.approx(0.125, rel=0.005)
     assert m["dense_floor"] == pytest.approx(0.125, rel=0.005)
+    # border points have fewer others around them than the particles, which keep half a spacing off
+    assert m["dense_s2t"] == pytest.approx(m["dense_s2t_floor"], rel=0.05)
+    # Gamma(5/3)^(1/2) (3 / 4 pi)^(1/3) of the spacing of 100 000 in a volume of 64
+    assert m["dense_s2t_floor"] == pytest.approx(0.5894 * (64 / 100_000) ** (1 / 3), rel=0.05)
     assert m["covered"] == 1
     assert m["mesh_iou"] < m["mesh_iou_level"] < 1
     assert m["mesh_iou_level"] > 0.95
@@ -198,6 +202,18 @@ def test_a_fill_that_misses_half_a_mesh(cube):
     assert m["mesh_iou"] < 0.52
     assert m["density_p05"] == 0
     assert m["density_p95"] == pytest.approx(2, abs=0.1)
+
+
+def test_a_fill_that_lies_beside_a_mesh(cube):
+    """Particles beside it are as far as its face, and their body counts, however far it is."""
+    axis = np.arange(-1.9, 2, 0.2)
+    fill = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    beside = mesh_metrics(fill + np.array([6.0, 0, 0]), cube, 0.2)
+    # each layer is x + 4 away from the cube's face, on which random points do not quite lie
+    assert beside["dense_s2t"] == pytest.approx(np.sqrt(np.mean((axis + 4) ** 2)), abs=0.01)
+    assert beside["covered"] == beside["mesh_iou"] == beside["mesh_iou_level"] == 0
+    half_off = mesh_metrics(fill + np.array([2.0, 0, 0]), cube, 0.2)
+    assert half_off["mesh_iou_level"] == pytest.approx(1 / 3, abs=0.02)
 
 
 def test_a_grown_surface_is_off_by_the_growth():

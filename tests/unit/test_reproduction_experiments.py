@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from chamfer_morph.reproduction.experiments.defaults import DEFAULTS
 from chamfer_morph.reproduction.experiments.extensions import EXTENSIONS
 from chamfer_morph.reproduction.experiments.paper_tables import NATIVE, PAPER_TABLES, SPHERE
 from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
@@ -14,7 +15,10 @@ from morph_engine import methods
 from morph_engine.errors import ConfigError, MeshError
 
 ALL_RUNS = [
-    run for experiment in (*PAPER_TABLES.values(), *EXTENSIONS.values()) for run in experiment.runs
+    run
+    for experiments in (PAPER_TABLES, EXTENSIONS, DEFAULTS)
+    for experiment in experiments.values()
+    for run in experiment.runs
 ]
 
 
@@ -56,7 +60,7 @@ def test_numbers_of_the_published_program_belong_to_runs():
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_run_has_a_valid_configuration(quick):
     """Methods, presets and settings exist, and quick runs are of their own."""
-    for run in runs_of(select(["all", "trial", *EXTENSIONS], quick=quick)):
+    for run in runs_of(select(["all", "trial", *EXTENSIONS, *DEFAULTS], quick=quick)):
         config = run.config()
         assert config.method.name == run.method in methods.names()
         assert config.sampling.fit == "none" and config.sampling.lattice == "published"
