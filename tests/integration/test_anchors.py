@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,17 +19,52 @@ from morph_engine.mpm.grid import cell_order
 from morph_engine.optimization import physics_weights
 from morph_engine.presets import configure
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "algorithm.md"
+
+EXACT = dict.fromkeys(
+    ("adjoint.drop_smoothing", "adjoint.carry_control", "adjoint.drop_drag"), False
+)
+
 
 @pytest.fixture
-def start(paper_mesh: Callable[[str], Path], float32_device: None) -> Physics:
-    """The physics method before its first frame, at the resolution of the paper."""
-    record = prepare(
-        paper_mesh("sphere"), paper_mesh("bunny"), configure("published", {"method": "physics"})
-    )
-    assert len(record.source_points) == 37644
-    assert len(record.target_points) in (31428, 31429)
-    config = configure("published", {"method": "physics", "optimizer.passes": 1})
-    return Physics(Problem(record.source_points, record.target_points, config))
+def problem(paper_mesh: Callable[[str], Path]) -> Callable[..., Problem]:
+    """Makes the paper's sphere to bunny at its resolution, with settings of one's own."""
+
+    def make(**settings: Any) -> Problem:
+        config = configure("published", {"method": "physics", **settings})
+        record = prepare(paper_mesh("sphere"), paper_mesh("bunny"), config)
+        assert len(record.source_points) == 37644
+        assert len(record.target_points) in (31428, 31429)
+        return Problem(record.source_points, record.target_points, config)
+
+    return make
+
+
+@pytest.fixture
+def start(problem: Callable[..., Problem], float32_device: None) -> Physics:
+    """The physics method before its first frame."""
+    return Physics(problem(**{"optimizer.passes": 1}))
+
+
+def begin(start: Physics) -> None:
+    """Simulate the first frame without control, and take its losses."""
+    simulation, control = start._simulation, start._control
+    order = cell_order(start._particles.x, start._grid)
+    simulation.volume.from_numpy(start._rest_volume[order])
+    simulation.layers[0].upload(start._particles.permuted(order))
+    weights = physics_weights(start.options.smoothing, 0)
+    simulation.smoothing = weights.smoothing
+    control._weights = weights
+    control._reset()
+    simulation.forward()
+    control._losses = control._evaluate()
+
+
+def documented(table: str, row: str) -> list[float]:
+    """Numbers of a row of a table of the algorithm, under this heading."""
+    text = DOCUMENT.read_text(encoding="utf-8").split(f"### {table} ")[1].split("\n### ")[0]
+    (line,) = re.findall(rf"^\| {row} \|(.*)\|$", text, flags=re.MULTILINE)
+    return [float(cell) for cell in line.split("|") if cell.strip()]
 
 
 def test_rest_volumes(start: Physics) -> None:
@@ -46,16 +83,8 @@ def test_first_control_steps(start: Physics) -> None:
 
     The reference values carry five to six digits; float32 and the order of sums change the sixth.
     """
+    begin(start)
     simulation, control = start._simulation, start._control
-    order = cell_order(start._particles.x, start._grid)
-    simulation.volume.from_numpy(start._rest_volume[order])
-    simulation.layers[0].upload(start._particles.permuted(order))
-    weights = physics_weights(start.options.smoothing, 0)
-    simulation.smoothing = weights.smoothing
-    control._weights = weights
-    control._reset()
-    simulation.forward()
-    control._losses = control._evaluate()
     assert control._losses.physics == pytest.approx(5307.46, rel=1e-5)
 
     norms, steps, losses = [], [], []
@@ -64,8 +93,19 @@ def test_first_control_steps(start: Physics) -> None:
         norms.append(control._norms([layer])[0])
         steps.append(np.linalg.norm(simulation.transitions[layer].U.to_numpy()))
         losses.append(control._losses.physics)
-    np.testing.assert_allclose(norms, [110.208, 99.389, 89.746, 80.208, 69.728], rtol=2e-5)
-    np.testing.assert_allclose(steps, [2.64871, 1.68499, 1.29895, 1.08141, 0.93622], rtol=2e-5)
-    np.testing.assert_allclose(
-        losses, [5242.040, 5201.657, 5171.836, 5148.710, 5130.864], rtol=1e-4
-    )
+    np.testing.assert_allclose(norms, documented("13.3", "n_phys"), rtol=2e-5)
+    np.testing.assert_allclose(steps, documented("13.3", "norm of the change of U"), rtol=3e-5)
+    first, *rest = documented("13.3", "L_phys after the step")
+    assert first == pytest.approx(5307.46, rel=1e-4)
+    np.testing.assert_allclose(losses, rest, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("row", "settings"), [("published", {}), ("exact", EXACT)])
+def test_gradient_norms_of_both_adjoints(
+    problem: Callable[..., Problem], float32_device: None, row: str, settings: dict[str, Any]
+) -> None:
+    """Of all control layers at the start, as algorithm 4.6 has them from float64."""
+    start = Physics(problem(**settings))
+    begin(start)
+    norms = start._control._physics_norms(list(range(9)))
+    np.testing.assert_allclose(norms, documented("4.6", row), rtol=1e-4)

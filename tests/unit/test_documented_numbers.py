@@ -1,6 +1,7 @@
 """Measured numbers in the documentation stand in the tables of our runs that lie beside it."""
 
 import csv
+import json
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -14,6 +15,12 @@ MEASURED = {
     "transport.md": "## Measured",
 }
 """Documents, and the heading of the part in which every number is a measurement."""
+
+OF_RUNS = ("8.2", "8.3", "8.4", "8.5", "8.6", "9.2")
+"""Sections of the algorithm in which every number is of a run, or of the published program."""
+
+CONSTANTS = {"0.999"}
+"""Numbers there that are settings."""
 
 COLUMNS = (
     "printed", "published_program", "ours", "standard_deviation", "minus_printed", "minus_program",
@@ -103,3 +110,62 @@ def test_every_claim_has_its_place_and_a_verdict():
         assert claim[0] == f"| {number}"
         assert len(claim) == 7 and claim[1] and claim[2]
         assert claim[3] in ("holds", "holds weakly", "fails", "not testable", "open there")
+
+
+def records():
+    """The committed records by the ids of their runs."""
+    paths = DOCS.glob("results/runs/*.json")
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in paths}
+
+
+def numbers_of_runs():
+    """The numbers of each run: of its record, in all frames, and what tables print beside them."""
+    found = defaultdict(list)
+    for name, record in records().items():
+        curves = (value for curve in record["curves"].values() for value in curve)
+        values = (*record["metrics"].values(), *curves)
+        found[name] += [abs(value) for value in values if value is not None]
+    for path in DOCS.glob("results/tables/*.csv"):
+        with path.open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                if row.get("run_ids") in found:
+                    found[row["run_ids"]] += [abs(float(row[c])) for c in COLUMNS if row.get(c)]
+    with (DOCS.parent / "reproduction/published/program.csv").open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            name = row.pop("run")
+            found[f"{name}, published program"] = [float(value) for value in row.values() if value]
+    return list(found.values())
+
+
+def section_of_algorithm(number):
+    """The text under a heading of the algorithm."""
+    text = (DOCS / "algorithm.md").read_text(encoding="utf-8").split(f"\n### {number} ")[1]
+    return re.split(r"^##+ ", text, flags=re.MULTILINE)[0]
+
+
+@pytest.mark.parametrize("section", OF_RUNS)
+def test_every_measurement_of_the_algorithm_is_of_a_run(section):
+    """What stands in a row of a table is of one run."""
+    known = numbers_of_runs()
+    every = [value for values in known for value in values]
+    measured = [line for line in section_of_algorithm(section).splitlines() if numbers(line)]
+    assert measured
+    for line in measured:
+        shown = [number for number in numbers(line) if number not in CONSTANTS]
+        if line[:1] == "|":
+            is_of_one = any(all(is_among(each, values) for each in shown) for values in known)
+            assert is_of_one, line
+        for number in shown:
+            assert is_among(number, every), (number, line)
+
+
+def test_frames_of_the_algorithm_are_those_of_the_run():
+    """Of sphere to bunny by physics, to the digits that are shown."""
+    curves = records()["sphere-bunny-physics"]["curves"]
+    columns = ("loss_physics", "s2t", "t2s", "two_sided", "hausdorff", "f1")
+    lines = re.findall(r"^\| (\d+) \|(.*)\|$", section_of_algorithm("13.4"), flags=re.MULTILINE)
+    assert len(lines) == 11
+    for frame, line in lines:
+        shown = [cell.strip() for cell in line.split("|")]
+        for name, number in zip(columns, shown, strict=True):
+            assert is_among(number, [curves[name][int(frame)]]), (frame, name, number)
