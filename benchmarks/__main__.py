@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from benchmarks.benchmark_groups import MODULES, measure
 from benchmarks.comparison import Row, failed, table
-from morph_engine.results.provenance import cpu_name
+from benchmarks.record import document, machine
 
 
 def main() -> None:
@@ -31,8 +28,7 @@ def main() -> None:
         sys.stderr.write(f"measuring {group} ...\n")
         rows += measured(group, options.quick)
     if options.json:
-        document = {"machine": machine(), "rows": [row.document() for row in rows]}
-        sys.stdout.write(json.dumps(document, indent=2) + "\n")
+        sys.stdout.write(document([row.document() for row in rows]))
     else:
         sys.stdout.write(f"{machine()}\n\n{table(rows)}\n")
     sys.exit(any(row.verdict == "FAILED" for row in rows))
@@ -45,12 +41,6 @@ def measured(group: str, quick: bool) -> list[Row]:
             return pool.submit(measure, group, quick).result()
     except Exception as error:  # a crash of one group must not hide the others
         return [failed(group, f"{type(error).__name__}: {error}")]
-
-
-def machine() -> str:
-    """Where this runs, and how busy it was."""
-    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
-    return f"{cpu_name()}, {os.cpu_count()} cores, load {load}, Python {platform.python_version()}"
 
 
 if __name__ == "__main__":

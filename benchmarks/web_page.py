@@ -18,7 +18,7 @@ from statistics import median
 import psutil
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
-from benchmarks.__main__ import machine
+from benchmarks.record import machine
 from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
 

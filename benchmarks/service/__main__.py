@@ -1,13 +1,14 @@
-"""Measure the service: `python -m benchmarks.service [--database URL] [group ...]`."""
+"""Measure the service: `python -m benchmarks.service [--database URL] [--json] [group ...]`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.__main__ import machine
+from benchmarks.record import document, machine
 from benchmarks.service import fairness, latency, load
 from benchmarks.service.local_service import LocalService
 from benchmarks.service.measurement import table
@@ -24,6 +25,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.service", description=__doc__)
     parser.add_argument("groups", nargs="*", metavar="group", help=", ".join(GROUPS))
     parser.add_argument("--database", default="", help="URL of an empty Postgres database")
+    parser.add_argument("--json", action="store_true", help="one JSON document instead")
     options = parser.parse_args()
     unknown = set(options.groups) - GROUPS.keys()
     if unknown:
@@ -34,7 +36,10 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="morph-service-") as folder:
             figures += GROUPS[group](LocalService(Path(folder), options.database))
     database = "Postgres" if options.database else "SQLite"
-    print(f"{machine()}, {database}\n\n{table(figures)}")
+    if options.json:
+        sys.stdout.write(document([asdict(figure) for figure in figures], database=database))
+    else:
+        print(f"{machine()}, {database}\n\n{table(figures)}")
     return sum(figure.verdict == "ABOVE" for figure in figures)
 
 
