@@ -169,3 +169,19 @@ def test_frames_of_the_algorithm_are_those_of_the_run():
         shown = [cell.strip() for cell in line.split("|")]
         for name, number in zip(columns, shown, strict=True):
             assert is_among(number, [curves[name][int(frame)]]), (frame, name, number)
+
+
+def test_every_benchmark_that_is_told_is_a_stored_document():
+    """Row by row: ours, the peer and the score, to the digits that are shown."""
+    folder = DOCS.parent / "benchmarks"
+    seen = (folder / "README.md").read_text(encoding="utf-8").split("## Seen")[1].split("\n## ")[0]
+    documents = [json.loads(p.read_text(encoding="utf-8")) for p in folder.glob("results/*.json")]
+    assert documents and all(each["commit"] and each["date"] for each in documents)
+    stored = {row["what"]: row for document in documents for row in document["rows"]}
+    lines = [line.strip("| ").split(" | ") for line in seen.splitlines() if line[:1] == "|"][2:]
+    assert lines
+    for what, *shown in lines:
+        row = stored[what]
+        for text, value in zip(shown, (row["ours"], row["peer"], row["score"]), strict=True):
+            digits = len(text.partition(".")[2])
+            assert f"{value:.{digits}f}" == text, what
