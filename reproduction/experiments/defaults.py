@@ -94,7 +94,7 @@ LAYERS = _experiment(
     metrics=("two_sided", "cpu_seconds"),
     rows=tuple(
         Row(
-            f"{layers} a step, {passes} passes, step {step:g}, adjoint {adjoint}",
+            f"{layers} a step, passes {passes}, step {step:g}, adjoint {adjoint}",
             (_layers(layers, passes, step, *_ADJOINTS[adjoint], edge=2),),
         )
         for layers, passes, step, adjoint in (

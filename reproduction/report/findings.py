@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import fmean
 
 from chamfer_morph.reproduction.published.numbers import CLAIMS, TARGETS
-from chamfer_morph.reproduction.report import extension_findings
+from chamfer_morph.reproduction.report import default_findings, extension_findings
 from chamfer_morph.reproduction.report.paired import (
     PairedDifference,
     paired_difference,
@@ -478,4 +478,8 @@ FINDINGS: dict[str, Finding] = {
     "finer": extension_findings.bounds,
     "repeats": extension_findings.bounds,
     "objectives": extension_findings.objectives,
+    "speeds": default_findings.speeds,
+    "layers": default_findings.ends,
+    "calm": default_findings.ends,
+    "reverse": default_findings.reverse,
 }

@@ -9,12 +9,17 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-MEASURED = {
-    "reproduction.md": "## The paper says, we find",
-    "findings.md": "## What we found",
-    "transport.md": "## Measured",
-}
-"""Documents, and the heading of the part in which every number is a measurement."""
+CLAIMS = ("reproduction.md", "## The paper says, we find")
+SPEEDS = ("presets.md", "## What the text's parameters do")
+DEFAULTS = ("presets.md", "## Why `fast` is what it is for `joint`")
+MEASURED = (
+    CLAIMS,
+    ("findings.md", "## What we found"),
+    ("transport.md", "## Measured"),
+    SPEEDS,
+    DEFAULTS,
+)
+"""Documents, and the heading of a part in which every number is a measurement."""
 
 OF_RUNS = ("8.2", "8.3", "8.4", "8.5", "8.6", "9.2")
 """Sections of the algorithm in which every number is of a run, or of the published program."""
@@ -51,10 +56,20 @@ def sentences():
     return numbers("\n".join(line for line in lines if line[:1] != "|"))
 
 
-def part(name):
+def part(name, heading):
     """The measurements of a document: from their heading to the next one of its level."""
-    text = (DOCS / name).read_text(encoding="utf-8").split(MEASURED[name])[1]
+    text = (DOCS / name).read_text(encoding="utf-8").split(heading)[1]
     return re.split(r"^## ", text, flags=re.MULTILINE)[0]
+
+
+def table_lines(text):
+    """The cells of each line of the tables in a text, their heads left out."""
+    tables = re.findall(r"^\|.*\n\|[-| ]+\n((?:\|.*\n)+)", text, flags=re.MULTILINE)
+    return [
+        [cell.strip(" *") for cell in line.strip("|").split("|")]
+        for lines in tables
+        for line in lines.splitlines()
+    ]
 
 
 def numbers(text):
@@ -68,16 +83,16 @@ def is_among(number, values):
     return any(abs(float(value) - float(number)) <= half_a_digit for value in values)
 
 
-@pytest.mark.parametrize("name", MEASURED)
-def test_every_measurement_is_in_a_table(name):
+@pytest.mark.parametrize("place", MEASURED, ids=" ".join)
+def test_every_measurement_is_in_a_table(place):
     """What stands together, in a row or in a cell of one, is of one row of our tables.
 
     A number that stands alone is told by a sentence of the report, or in a table.
     """
     known, told = rows(), sentences()
     every = [value for values in known for value in values] + told
-    measured = part(name)
-    assert len(numbers(measured)) > 10
+    measured = part(*place)
+    assert len(numbers(measured)) >= 10
 
     def is_of_one_row(shown):
         return any(all(is_among(number, values) for number in shown) for values in known)
@@ -96,14 +111,14 @@ def test_every_measurement_is_in_a_table(name):
 def test_every_count_of_the_claims_is_told_by_a_report():
     """What holds on so many of so many is counted by the program, not by hand."""
     told = set(COUNT.findall("\n".join(p.read_text("utf-8") for p in DOCS.glob("results/*.md"))))
-    counts = COUNT.findall(re.sub(r'"[^"]*"', "", part("reproduction.md")))
+    counts = COUNT.findall(re.sub(r'"[^"]*"', "", part(*CLAIMS)))
     assert len(counts) > 10
     assert set(counts) <= told
 
 
 def test_every_claim_has_its_place_and_a_verdict():
     """At least 25 sentences of the paper, each with one of five verdicts."""
-    claims = [line.split(" | ") for line in part("reproduction.md").splitlines()[4:] if line]
+    claims = [line.split(" | ") for line in part(*CLAIMS).splitlines()[4:] if line]
     claims = [claim for claim in claims if claim[0].startswith("|")]
     assert len(claims) >= 25
     for number, claim in enumerate(claims, 1):
@@ -185,3 +200,25 @@ def test_every_benchmark_that_is_told_is_a_stored_document():
         for text, value in zip(shown, (row["ours"], row["peer"], row["score"]), strict=True):
             digits = len(text.partition(".")[2])
             assert f"{value:.{digits}f}" == text, what
+
+
+def test_speeds_of_the_first_frames_are_those_of_the_runs():
+    """Three a row, in the order of the table of runs."""
+    with (DOCS / "results/tables/speeds.csv").open(encoding="utf-8", newline="") as file:
+        speeds = [float(row["ours"]) for row in csv.DictReader(file)]
+    shown = [cells[1] for cells in table_lines(part(*SPEEDS))]
+    assert ", ".join(shown) == ", ".join(f"{speed:.1f}" for speed in speeds)
+
+
+def test_cpu_seconds_of_the_presets_are_those_of_the_runs():
+    """In the same row as its distance."""
+    known = rows()
+    lines = table_lines(part(*DEFAULTS))
+    assert len(lines) == 17
+    for cells in lines:
+        shown = numbers(" ".join(cells))
+        assert any(
+            all(is_among(number, values) for number in shown)
+            and any(f"{value:.0f}" == cells[-1] for value in values)
+            for values in known
+        ), cells

@@ -130,7 +130,7 @@ def test_an_unknown_table_names_a_near_one():
 
 def test_every_experiment_has_findings():
     """None goes without a sentence on what its numbers show."""
-    assert FINDINGS.keys() == PAPER_TABLES.keys() | EXTENSIONS.keys()
+    assert FINDINGS.keys() == PAPER_TABLES.keys() | EXTENSIONS.keys() | DEFAULTS.keys()
 
 
 def test_missing_meshes_are_named_with_their_origins(tmp_path):
