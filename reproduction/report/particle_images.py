@@ -103,25 +103,27 @@ def gallery(rows: Sequence[tuple[str, Sequence[PointCloud | None]]]) -> Figure:
 
     Args:
         rows: Name and clouds of each row, the first of which is there; None leaves a place empty.
-            The titles of the first row stand above its columns.
+            A title stands above its cloud unless it is that of the row above.
     """
     columns = max(len(clouds) for _, clouds in rows)
     images = [_panels(clouds) for _, clouds in rows]
     heights = [len(row[0]) / PANEL_PIXELS for row in images]
     width = min(7.2, 1.9 * columns)
     size = (width, width / columns * sum(heights) + 0.25)
+    above: dict[int, str] = {}
     with style():
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=heights)
         for panels, (name, clouds), row in zip(grid, rows, images, strict=True):
             for axes in panels:
                 _bare(axes)
-            for axes, cloud, image in zip(panels, clouds, row, strict=False):
+            for column, (axes, cloud, image) in enumerate(zip(panels, clouds, row, strict=False)):
                 if cloud:
                     axes.imshow(image, interpolation="antialiased")
-                    if row is images[0]:
+                    if above.get(column) != cloud.title:
                         axes.set_title(cloud.title)
-            panels[0].set_ylabel(name)
+                    above[column] = cloud.title
+            panels[0].set_ylabel(name.replace(", ", "\n"))
     return figure
 
 
