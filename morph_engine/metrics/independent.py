@@ -34,6 +34,8 @@ class Reference:
         mesh: Target mesh in grid units.
         count: Number of random points inside the mesh, and about that of the lattice.
         seed: Of the random points and the lattice's offset.
+        sets: Sets of so many points that `dense_s2t` is taken over: particles in heaps have few
+            places, each of which is as far from a single set as chance has it.
 
     Attributes:
         points: Random points of the volume [dx], shape [count or a few more, 3].
@@ -41,13 +43,15 @@ class Reference:
         volume: Of the mesh, by the random points [dx^3].
     """
 
-    def __init__(self, mesh: Mesh, *, count: int = 100_000, seed: int = 0) -> None:
+    def __init__(self, mesh: Mesh, *, count: int = 100_000, seed: int = 0, sets: int = 1) -> None:
         self._rng = np.random.default_rng(seed)
         self._bounds = mesh.bounds
         self._samples, self._wanted = _random_points(mesh, count, self._rng)
         self.points = self._samples[self._wanted]
         self.volume = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
         self._tree = scipy.spatial.cKDTree(self.points)
+        more = (_random_points(mesh, count, self._rng) for _ in range(sets - 1))
+        self._sets = [self._tree, *(scipy.spatial.cKDTree(of[wanted]) for of, wanted in more)]
         step = float(np.cbrt(self.volume / count))
         self.lattice, self._even = _lattice(mesh, step, self._rng)
 
@@ -79,7 +83,7 @@ class Reference:
         return {
             "dense_t2s": _rms(distance[wanted]),
             "dense_floor": self.spacing(len(points)) / 2,
-            "dense_s2t": _rms(self._tree.query(points)[0]),
+            "dense_s2t": _rms(np.stack([each.query(points)[0] for each in self._sets])),
             "dense_s2t_floor": self.floor,
             "covered": float(filled[wanted].mean()),
             "mesh_iou": _overlap(filled, wanted),

@@ -25,7 +25,14 @@ SEEDS = (1, 2)
 """One for each draw."""
 
 POINTS = 100_000
-"""Random points of the volume, and of either surface; points of the lattice are about as many."""
+"""Random points of the volume; points of the lattice are about as many."""
+
+SURFACE_POINTS = 40_000
+"""Random points of either surface."""
+
+
+SETS = 4
+"""Of random points in a draw, over which s→t is taken."""
 
 
 def with_ends(
@@ -67,7 +74,7 @@ def measure_end(positions: npt.ArrayLike, target: str) -> list[dict[str, float]]
     surface = reconstruct_surface(points, spacing)
     return [
         reference.measure(points, spacing)
-        | surface_metrics(surface, mesh, sample_count=POINTS, seed=seed)
+        | surface_metrics(surface, mesh, sample_count=SURFACE_POINTS, seed=seed)
         for reference, seed in zip(references, SEEDS, strict=True)
     ]
 
@@ -75,4 +82,4 @@ def measure_end(positions: npt.ArrayLike, target: str) -> list[dict[str, float]]
 @lru_cache(maxsize=1)
 def _references(target: str) -> tuple[Mesh, tuple[Reference, ...]]:
     mesh = resolve_shape(target)
-    return mesh, tuple(Reference(mesh, count=POINTS, seed=seed) for seed in SEEDS)
+    return mesh, tuple(Reference(mesh, count=POINTS, seed=seed, sets=SETS) for seed in SEEDS)
