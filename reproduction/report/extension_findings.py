@@ -8,7 +8,6 @@ from statistics import median
 
 from chamfer_morph.reproduction.report.tables import (
     METRIC_NAMES,
-    NOT_COMPETING,
     Table,
     distance_from_ideal,
 )
@@ -61,19 +60,22 @@ def transport(table: Table) -> list[str]:
 
 
 def headline(table: Table) -> list[str]:
-    """Each method's median of each number, and how far a second draw of the points moves any."""
+    """Each method's median of each number, and how far a second draw of the points moves any.
+
+    Methods that have not been run on all pairs have none: their pairs may be the easy ones.
+    """
     methods: dict[str, list[str]] = {}
     for line in table.lines:
         methods.setdefault(line.row.label.rpartition(", ")[2], []).append(line.row.label)
     sentences = []
     for metric in table.experiment.metrics:
-        if metric not in NOT_COMPETING:
-            medians = {
-                method: median(values)
-                for method, labels in methods.items()
-                if (values := list(table.numbers(metric, labels).values()))
-            }
-            parts = [f"{method} {value:.3f}" for method, value in medians.items()]
+        numbers = {method: table.numbers(metric, labels) for method, labels in methods.items()}
+        parts = [
+            f"{method} {median(values.values()):.3f}"
+            for method, values in numbers.items()
+            if len(values) == len(methods[method])
+        ]
+        if parts:
             sentences.append(f"{METRIC_NAMES[metric]}, medians: {', '.join(parts)}.")
     return [*sentences, *_largest_move(table)]
 

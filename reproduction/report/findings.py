@@ -19,6 +19,9 @@ from chamfer_morph.reproduction.runs.store import Record
 
 Finding = Callable[[Table], list[str]]
 
+NAMED_ROWS = 20
+"""Rows without numbers that are named; of more their number is told."""
+
 
 @dataclass
 class WinCount:
@@ -61,7 +64,9 @@ def findings(table: Table) -> list[str]:
     sentences = FINDINGS[table.experiment.name](table)
     missing = [line.row.label for line in table.lines if line.problem]
     if missing:
-        sentences = [*sentences, f"Without {', '.join(missing)}."]
+        named = len(missing) <= NAMED_ROWS
+        what = ", ".join(missing) if named else f"{len(missing)} of {len(table.lines)} rows"
+        sentences = [*sentences, f"Without {what}."]
     return sentences
 
 
