@@ -41,6 +41,12 @@ PROBLEM_TYPES: dict[int, tuple[str, str]] = {
 }
 """Status to the stable name of the problem and its title."""
 
+FAULTS_SHOWN = 20
+NAME_SHOWN = 80
+TEXT_SHOWN = 1000
+"""Faults of one request that are listed, and letters of a field's name and of any text: whoever
+sends much is not answered with as much."""
+
 KEPT_HEADERS = ("allow", "content-range", "retry-after", "www-authenticate")
 """What is kept of an answer of the framework that becomes a problem."""
 
@@ -79,8 +85,8 @@ class ProblemError(HTTPException):
             type=f"/problems/{name}",
             title=title,
             status=self.status_code,
-            detail=self.detail,
-            remedy=self.remedy,
+            detail=shorten(self.detail),
+            remedy=shorten(self.remedy),
             errors=self.errors,
         )
 
@@ -88,6 +94,12 @@ class ProblemError(HTTPException):
         """The answer."""
         body = json.dumps(self.document().model_dump(mode="json"))
         return Response(body, self.status_code, self.headers, MEDIA_TYPE)
+
+
+def shorten(text: str) -> str:
+    """A text that may quote what somebody has sent, with its middle left out where it is long."""
+    half = TEXT_SHOWN // 2
+    return text if len(text) <= TEXT_SHOWN else f"{text[:half]} ... {text[-half:]}"
 
 
 def not_found(what: str, name: str) -> ProblemError:
@@ -122,15 +134,17 @@ def not_json(error: ValueError | RecursionError) -> ProblemError:
 
 def validation_problem(error: ValidationError | RequestValidationError) -> ProblemError:
     """Fields that are missing, unknown or out of range."""
+    found = error.errors()
     faults = [
-        {"loc": _path_in_body(fault["loc"]), "msg": fault["msg"], "type": fault["type"]}
-        for fault in error.errors()
+        {"loc": _path_in_body(fault["loc"]), "msg": shorten(fault["msg"]), "type": fault["type"]}
+        for fault in found[:FAULTS_SHOWN]
     ]
     first = faults[0]
     location = ".".join(str(part) for part in first["loc"])
+    more = f" There are {len(found)} faults." if len(found) > FAULTS_SHOWN else ""
     return ProblemError(
         422,
-        f"{location}: {first['msg']}." if location else f"{first['msg']}.",
+        (f"{location}: {first['msg']}." if location else f"{first['msg']}.") + more,
         "See /docs for the fields and their ranges.",
         errors=faults,
     )
@@ -138,7 +152,8 @@ def validation_problem(error: ValidationError | RequestValidationError) -> Probl
 
 def _path_in_body(loc: Sequence[str | int]) -> list[str | int]:
     """Where a field is; FastAPI says before it that it is in the body."""
-    return list(loc[1:] if loc[0:1] == ("body",) else loc)
+    path = loc[1:] if loc[0:1] == ("body",) else loc
+    return [part[:NAME_SHOWN] if isinstance(part, str) else part for part in path]
 
 
 def install(app: FastAPI) -> None:

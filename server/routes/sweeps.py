@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from itertools import product
 from typing import Annotated, Any, Literal
 
@@ -104,11 +105,10 @@ def get_sweep(
 def _submit(
     request: SweepRequest, key: str | None, caller: Caller, context: ServerContext
 ) -> tuple[Sweep, bool]:
-    combinations = list(product(request.sources, request.targets, request.methods, request.seeds))
-    if len(combinations) > JOBS:
-        raise ProblemError(
-            422, f"This makes {len(combinations)} jobs, more than {JOBS}.", "Split the sweep."
-        )
+    axes = request.sources, request.targets, request.methods, request.seeds
+    count = math.prod(len(axis) for axis in axes)
+    if count > JOBS:  # known before a single combination is made
+        raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
     digest = body_digest(request.model_dump(mode="json"))
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
     before = context.sweeps.get(sweep_id)
@@ -128,7 +128,7 @@ def _submit(
             caller,
             context,
         )
-        for source, target, method, seed in combinations
+        for source, target, method, seed in product(*axes)
     ]
     if before is None:
         context.quotas.check_jobs(caller.name, len(submissions))
