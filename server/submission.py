@@ -173,6 +173,8 @@ def _shape(
     if config.sampling.fit != "none":
         return round(REFERENCE_VOLUME * per_unit), row.name
     report = context.storage.mesh_report(shape.mesh)
+    if report is None:
+        raise MeshError(f"The mesh {row.name} has been deleted meanwhile.", "Upload it again.")
     reach = max(abs(x) for corner in report["bounds"] for x in corner)
     remedy = 'Scale it with the override "sampling.fit": "volume".'
     if reach > config.domain:

@@ -5,6 +5,8 @@ DBOS has no public interface to that table. Nothing else here depends on what DB
 
 from __future__ import annotations
 
+import logging
+import os
 import sqlite3
 import time
 from collections.abc import Mapping, Sequence
@@ -13,10 +15,15 @@ from functools import cached_property
 from importlib import metadata
 from typing import Any
 
+import psycopg
 import sqlalchemy as sa
-from dbos import DBOS, DBOSClient
+from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
+from dbos._serialization import DefaultSerializer
 
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
+
+log: logging.Logger = logging.getLogger(__name__)
 
 CONNECTIONS = 10
 """Connections to the database that a process keeps open; opening one costs more than a query."""
@@ -28,6 +35,21 @@ COLUMNS = frozenset(
     }
 )  # fmt: skip
 """What the queue uses of the table."""
+
+SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
+"""How DBOS stores what is not stored in the portable format anyway."""
+
+
+def _refuse(self: DefaultSerializer, text: str) -> Any:
+    """In place of unpickling, which lets whoever writes to the database run code in every process.
+
+    Raises:
+        TypeError: Always; DBOS takes the value for one that it cannot read.
+    """
+    raise TypeError("a pickled value is not read")
+
+
+DefaultSerializer.deserialize = _refuse  # type: ignore
 
 
 class WorkflowTable:
@@ -107,6 +129,28 @@ def database(settings: Settings, *, autocommit: bool = False) -> sa.Engine:
     )
     sa.event.listen(engine, "connect", _prepare_sqlite)
     return engine
+
+
+def end_when_disk_is_full(engine: sa.Engine) -> None:
+    """End this process as soon as SQLite finds the disk full.
+
+    DBOS gives up the outcome of a job whose commit fails so, and the job would run for ever. A
+    worker that is started again takes the job up, as after a kill. Postgres is asked again by DBOS.
+    """
+    sa.event.listen(engine, "handle_error", _end_if_disk_is_full)
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether a database refuses to write for want of space."""
+    return isinstance(error, psycopg.errors.DiskFull) or (
+        isinstance(error, sqlite3.OperationalError) and "disk is full" in str(error)
+    )
+
+
+def _end_if_disk_is_full(context: sa.ExceptionContext) -> None:
+    if is_disk_full(context.original_exception):
+        log.error("the disk of the database is full; this worker ends")
+        os._exit(ExitCode.DISK_FULL)
 
 
 def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:

@@ -19,3 +19,6 @@ class ExitCode(IntEnum):
 
     PAUSED = 78
     """Its worker slot has been paused or unpaused, and begins afresh."""
+
+    DISK_FULL = 79
+    """The disk of the database is full, and nothing can be reported."""

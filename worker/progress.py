@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.storage import Storage
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +33,13 @@ class JobProgress:
 
 
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
-    """The progress of a job."""
-    log = storage.events(job_id)
-    return _progress(log, log.version(), spec.config.frames)
+    """The progress of a job; none where its log is damaged, which must not hide other jobs."""
+    log, frames = storage.events(job_id), spec.config.frames
+    try:
+        return _progress(log, log.version(), frames)
+    except (OSError, LookupError, TypeError, ValueError, AttributeError):
+        _LOG.warning("the event log of job %s cannot be read", job_id, exc_info=True)
+        return JobProgress(0, frames)
 
 
 @lru_cache(4096)
@@ -40,7 +47,7 @@ def _progress(log: EventLog, version: tuple[int, int], total: int) -> JobProgres
     """The progress at the end of one version of a log, read once."""
     events = log.tail()
     frames = [event for event in events if event.type == "frame"]
-    attempts = [event.data["attempt"] for event in events if "attempt" in event.data]
+    attempts = [int(event.data["attempt"]) for event in events if "attempt" in event.data]
     if not frames:
         return JobProgress(0, total, max(attempts, default=0))
     last = frames[-1].data
@@ -50,6 +57,6 @@ def _progress(log: EventLog, version: tuple[int, int], total: int) -> JobProgres
         frame=done,
         frames=total,
         attempt=int(last["attempt"]),
-        metrics=last["metrics"],
+        metrics={name: float(value) for name, value in last["metrics"].items()},
         seconds_left=(total - done) * sum(seconds) / len(seconds),
     )

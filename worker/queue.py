@@ -11,7 +11,9 @@ decide which of their jobs takes which of their places.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+import logging
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
@@ -27,7 +29,7 @@ from dbos import (
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
-from chamfer_morph.worker.dbos_adapter import WorkflowTable, database, migrate
+from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state, statuses
 from chamfer_morph.worker.settings import Settings
@@ -45,6 +47,18 @@ PAGE = 1000
 
 NOBODY = "-"
 """Owner of jobs submitted without a key."""
+
+UNREADABLE = Problem(
+    cause="What the job has reported cannot be read.",
+    remedy="Resume it: what it has computed is reported again.",
+    kind="internal",
+)
+
+log: logging.Logger = logging.getLogger(__name__)
+
+
+class JobChangedError(Exception):
+    """A job has been started, stopped or deleted since somebody looked at it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +111,12 @@ class JobQueue:
             system_database_url=settings.system_database_url,
             system_database_engine=self._engine,
             application_name=APPLICATION,
+            serializer=SERIALIZER,
             lazy=True,
         )
         self._workflows = WorkflowTable(self._client, settings)
         self._rows = self._workflows.rows
-        self._cache: dict[str, tuple[list[Any], JobRecord]] = {}
+        self._cache: dict[str, tuple[list[Any], JobRecord | None]] = {}
 
     def migrate(self) -> None:
         """Create or upgrade the tables and the queue; harmless to repeat."""
@@ -155,8 +170,9 @@ class JobQueue:
         return True
 
     def get(self, job_id: str) -> JobRecord | None:
-        """A job, or None where there is none of that id."""
-        return next(iter(self._records(self._version, {"job": job_id})), None)
+        """A job, or None where there is none of that id, or its row cannot be read."""
+        rows = self._rows(self._version, {"job": job_id})
+        return next(iter(self._records(rows)), None)
 
     def newest(
         self,
@@ -168,7 +184,7 @@ class JobQueue:
         before: tuple[int, str] | None = None,
         limit: int = 100,
     ) -> list[JobRecord]:
-        """Jobs, the newest first.
+        """Jobs, the newest first, without those whose row cannot be read.
 
         Args:
             owner: Only jobs of this key; None for all.
@@ -180,7 +196,7 @@ class JobQueue:
         """
         c = self._table.c
         created = sa.cast(c.created_at, sa.BigInteger)  # SQLite may store fractions
-        query = self._versions
+        query = self._versions.add_columns(created)
         if owner is not None:
             query = query.where(self._owned_by(owner))
         if sweep is not None:
@@ -194,10 +210,18 @@ class JobQueue:
                 query = query.where((c.status != "CANCELLED") | ~self._late)
             if JobState.CANCELLED not in states:
                 query = query.where((c.status != "CANCELLED") | self._late)
-        if before is not None:
-            query = query.where(sa.tuple_(created, c.workflow_uuid) < before)
         query = query.order_by(created.desc(), c.workflow_uuid.desc())
-        return [*self._records(query.limit(limit))]
+        records: list[JobRecord] = []
+        while room := limit - len(records):
+            older = query
+            if before is not None:
+                older = query.where(sa.tuple_(created, c.workflow_uuid) < before)
+            rows = self._rows(older.limit(room))
+            records += self._records([row[:-1] for row in rows])
+            if len(rows) < room:
+                break
+            before = rows[-1][-1], rows[-1][0]
+        return records
 
     def all(
         self, *, owner: str | None = None, states: Collection[JobState] | None = None
@@ -243,15 +267,32 @@ class JobQueue:
         self._client.cancel_workflow(job_id)
 
     def resume(self, job_id: str) -> None:
-        """Queue a finished job again; it goes on from its last frame."""
-        self._client.rewind_workflow(
-            job_id, application_version=APPLICATION_VERSION, queue_name=QUEUE
-        )
+        """Queue a finished job again; it goes on from its last frame.
+
+        Raises:
+            JobChangedError: It is not finished, or not there, any more.
+        """
+        Storage(self._settings.data_dir).unmark(job_id)
+        self._rewind(job_id)
 
     def retry(self, job_id: str) -> None:
-        """Queue a finished job again, from the beginning."""
-        Storage(self._settings.data_dir).remove_job(job_id)
-        self.resume(job_id)
+        """Queue a finished job again, from the beginning.
+
+        What it left is deleted once it is in the queue: a failure at any instant leaves it finished
+        with its result, or queued.
+
+        Raises:
+            JobChangedError: It is not finished, or not there, any more.
+        """
+        storage = Storage(self._settings.data_dir)
+        mark = storage.mark_for_discard(job_id)
+        try:
+            self._rewind(job_id)
+        except JobChangedError:
+            mark.unlink(missing_ok=True)
+            raise
+        with suppress(OSError):  # its worker does it, else
+            storage.discard_if_marked(job_id, wait_seconds=0)
 
     def delete(self, job_id: str) -> None:
         """Forget a job; its files are for `Storage.remove_job`."""
@@ -276,6 +317,14 @@ class JobQueue:
         self._client.destroy()
         self._workflows.close()
         self._engine.dispose()
+
+    def _rewind(self, job_id: str) -> None:
+        try:
+            self._client.rewind_workflow(
+                job_id, application_version=APPLICATION_VERSION, queue_name=QUEUE
+            )
+        except dbos_error.DBOSException as error:
+            raise JobChangedError(str(error)) from error
 
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
@@ -328,19 +377,18 @@ class JobQueue:
         c = self._table.c
         return self._select(c.workflow_uuid, c.status, c.executor_id, c.updated_at)
 
-    def _records(
-        self, query: sa.Select[Any], values: Mapping[str, Any] | None = None
-    ) -> list[JobRecord]:
-        """The jobs of a query for versions; those that have not changed are not read again."""
+    def _records(self, rows: Sequence[Sequence[Any]]) -> list[JobRecord]:
+        """The jobs of rows of `_versions`; those that have not changed are not read again."""
         if len(self._cache) > RECORD_CACHE_SIZE:
             self._cache = {}
-        cache, rows = self._cache, self._rows(query, values)
-        changed = [i for i, *version in rows if i not in cache or cache[i][0] != version]
+        cache = self._cache
+        changed = [id_ for id_, *v in rows if id_ not in cache or cache[id_][0] != v]
         if changed:
             for status in self._client.list_workflows(workflow_ids=changed, name=WORKFLOW):
                 version = [status.status, status.executor_id, status.updated_at]
-                cache[status.workflow_id] = version, _record(status)
-        return [cache[job_id][1] for job_id, *_ in rows if job_id in cache]
+                cache[status.workflow_id] = version, _record_or_none(status)
+        found = (cache[job_id][1] for job_id, *_ in rows if job_id in cache)
+        return [record for record in found if record is not None]
 
     @property
     def _table(self) -> sa.Table:
@@ -360,6 +408,15 @@ class JobQueue:
         return sa.func.coalesce(c.completed_at >= c.workflow_deadline_epoch_ms, sa.false())
 
 
+def _record_or_none(status: WorkflowStatus) -> JobRecord | None:
+    """A job, or None where its row cannot be read; one such row must not hide the others."""
+    try:
+        return _record(status)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError):
+        log.warning("the row of job %s cannot be read", status.workflow_id, exc_info=True)
+        return None
+
+
 def _record(status: WorkflowStatus) -> JobRecord:
     attributes = status.attributes or {}
     arguments = (status.input or {"args": ()})["args"]
@@ -367,6 +424,11 @@ def _record(status: WorkflowStatus) -> JobRecord:
     late = deadline is not None and ended is not None and ended >= deadline
     state = job_state(status.status, late=late)
     spec = JobSpec.model_validate(arguments[0])
+    try:
+        outcome = Outcome.model_validate(status.output) if state is JobState.SUCCEEDED else None
+        problem = _problem(state, status.error, spec)
+    except ValueError:  # pydantic's
+        state, outcome, problem = JobState.FAILED, None, UNREADABLE
     return JobRecord(
         id=status.workflow_id,
         owner=str(attributes.get("owner", "")),
@@ -380,8 +442,8 @@ def _record(status: WorkflowStatus) -> JobRecord:
         started_at=_time(status.dequeued_at),
         finished_at=_time(status.completed_at) if state.finished else None,
         executor=status.executor_id if status.dequeued_at else None,
-        outcome=Outcome.model_validate(status.output) if state is JobState.SUCCEEDED else None,
-        problem=_problem(state, status.error, spec),
+        outcome=outcome,
+        problem=problem,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,7 +15,12 @@ from typing import Any
 from chamfer_morph.schemas import MeshShape, Shape
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.errors import MeshError, ResultError
-from morph_engine.files import replacing, sync_directory
+from morph_engine.files import replacing, sync_directory, wait_for
+
+PROBE_BYTES = 1 << 17
+
+DISCARD = "discard-"
+"""How a file begins that marks the rest of its folder to be deleted."""
 
 
 class Storage:
@@ -34,6 +40,18 @@ class Storage:
         """Directory of uploads in progress."""
         return self.root / "uploads"
 
+    def probe(self) -> None:
+        """See whether there is room for the few blocks that a small request takes.
+
+        Raises:
+            OSError: The disk is full, or refuses otherwise.
+        """
+        path = self.uploads / f".probe-{secrets.token_hex(8)}"
+        try:
+            path.write_bytes(bytes(PROBE_BYTES))
+        finally:
+            path.unlink(missing_ok=True)
+
     def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:
         """Move an uploaded file to its place; the mesh exists once its report does."""
         folder = self.root / "meshes" / sha256
@@ -44,17 +62,19 @@ class Storage:
         sync_directory(folder.parent)
 
     def mesh_file(self, sha256: str) -> Path | None:
-        """The file of a mesh, or None where there is none."""
-        folder = self.root / "meshes" / sha256
-        if not (folder / "report.json").exists():
+        """The file of a mesh, or None where there is none, or its report cannot be read."""
+        if self.mesh_report(sha256) is None:
             return None
-        return next(folder.glob("mesh.*"), None)
+        return next((self.root / "meshes" / sha256).glob("mesh.*"), None)
 
-    def mesh_report(self, sha256: str) -> dict[str, Any]:
-        """The ingest report of a mesh that exists."""
-        text = (self.root / "meshes" / sha256 / "report.json").read_text(encoding="utf-8")
-        report: dict[str, Any] = json.loads(text)["report"]
-        return report
+    def mesh_report(self, sha256: str) -> dict[str, Any] | None:
+        """The ingest report of a mesh, or None where there is none that can be read."""
+        try:
+            text = (self.root / "meshes" / sha256 / "report.json").read_text(encoding="utf-8")
+            report = json.loads(text)["report"]
+        except (OSError, ValueError, LookupError, TypeError):
+            return None
+        return report if isinstance(report, dict) else None
 
     def remove_mesh(self, sha256: str) -> None:
         """Delete a mesh, if it is there."""
@@ -119,6 +139,45 @@ class Storage:
                 with suppress(FileNotFoundError):
                     total += os.stat(os.path.join(folder, name)).st_size
         return total
+
+    def mark_for_discard(self, job_id: str) -> Path:
+        """Mark what a job has left, to be deleted before it is computed again.
+
+        Returns:
+            The mark, a file of its own for each call.
+        """
+        folder = self.job_dir(job_id)
+        folder.mkdir(exist_ok=True)
+        mark = folder / f"{DISCARD}{secrets.token_hex(8)}"
+        mark.touch()
+        return mark
+
+    def unmark(self, job_id: str) -> None:
+        """Take back the marks of those who died before the job was in the queue."""
+        for mark in self.job_dir(job_id).glob(f"{DISCARD}*"):
+            mark.unlink(missing_ok=True)
+
+    def discard_if_marked(self, job_id: str, *, wait_seconds: float) -> None:
+        """Delete what a job has left, if that is marked and no engine works on it.
+
+        Args:
+            job_id: The job.
+            wait_seconds: How long to wait for an engine that is just ending [s].
+        """
+        folder = self.job_dir(job_id)
+        marks = [*folder.glob(f"{DISCARD}*")]
+        if not marks:
+            return
+        with suppress(TimeoutError), wait_for(folder / "lock", wait_seconds):
+            for path in folder.iterdir():
+                if path.name == "lock" or path in marks:
+                    continue
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+            for mark in marks:  # last, so that what is broken off is done again
+                mark.unlink(missing_ok=True)
 
     def remove_job(self, job_id: str) -> None:
         """Delete what a job left, if anything."""

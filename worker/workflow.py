@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 from pathlib import Path
@@ -11,14 +12,16 @@ from typing import Any
 from dbos import DBOS, DBOSConfig, PortableWorkflowError, WorkflowSerializationFormat
 from dbos import error as dbos_error
 
+from chamfer_morph.schemas import Problem
 from chamfer_morph.worker import queue
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
-from chamfer_morph.worker.dbos_adapter import database
+from chamfer_morph.worker.dbos_adapter import SERIALIZER, database, end_when_disk_is_full
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import is_paused
 from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 
 MAX_RECOVERIES = 50
 
@@ -36,13 +39,16 @@ def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
     """
     global _settings, _executor
     _settings, _executor = settings, executor
+    engine = database(settings)
+    end_when_disk_is_full(engine)
     config: DBOSConfig = {
         "name": queue.APPLICATION,
         "system_database_url": settings.system_database_url,
-        "system_database_engine": database(settings),
+        "system_database_engine": engine,
         "executor_id": executor,
         "application_version": queue.APPLICATION_VERSION,
         "run_migrations": False,
+        "serializer": SERIALIZER,
         "log_level": "WARNING",
         "max_executor_threads": 8,
     }
@@ -77,8 +83,12 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     assert job_id is not None
     storage = Storage(_settings.data_dir)
     job_dir = storage.job_dir(job_id)
-    job_dir.mkdir(exist_ok=True)
-    _write_spec(job_dir, spec)
+    try:
+        job_dir.mkdir(exist_ok=True)
+        await asyncio.to_thread(storage.discard_if_marked, job_id, wait_seconds=LOCK_SECONDS)
+        _write_spec(job_dir, spec)
+    except OSError as error:
+        raise AttemptFailed(_disk_refuses(error), 0) from error
     log = storage.events(job_id)
     failures = 0
     attempt = 1 + sum(1 for event in log.read(limit=10**9) if event.type == "attempt")
@@ -89,14 +99,23 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience
             again = failure.worth_another and failures < _settings.attempts
-            log.append(
-                "problem",
-                {"attempt": attempt, "retry": again, **failure.problem.model_dump(mode="json")},
-            )
+            with contextlib.suppress(OSError):  # the disk is full; the outcome tells it, too
+                log.append(
+                    "problem",
+                    {"attempt": attempt, "retry": again, **failure.problem.model_dump(mode="json")},
+                )
             if not again:
                 raise
         await asyncio.sleep(_settings.retry_seconds * 2 ** (failures - 1))
         attempt += 1
+
+
+def _disk_refuses(error: OSError) -> Problem:
+    return Problem(
+        cause=f"The job's folder cannot be written ({error.strerror or error}).",
+        remedy="See that the service's disk has room, then resume the job.",
+        kind="resources",
+    )
 
 
 def _is_unexpected(record: logging.LogRecord) -> bool:

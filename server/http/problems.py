@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
-from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
@@ -19,6 +21,8 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.schemas import ProblemDocument
+from chamfer_morph.worker.dbos_adapter import is_disk_full as is_database_full
+from chamfer_morph.worker.queue import JobChangedError
 from morph_engine.errors import MorphError
 
 MEDIA_TYPE = "application/problem+json"
@@ -38,6 +42,7 @@ PROBLEM_TYPES: dict[int, tuple[str, str]] = {
     429: ("too-many", "Too much at once"),
     500: ("internal", "This is a fault of the service"),
     503: ("unavailable", "The service is not ready"),
+    507: ("disk-full", "The service has no room left"),
 }
 """Status to the stable name of the problem and its title."""
 
@@ -49,6 +54,8 @@ sends much is not answered with as much."""
 
 KEPT_HEADERS = ("allow", "content-range", "retry-after", "www-authenticate")
 """What is kept of an answer of the framework that becomes a problem."""
+
+_LOG = logging.getLogger(__name__)
 
 
 class ProblemError(HTTPException):
@@ -125,6 +132,23 @@ def unavailable(detail: str) -> ProblemError:
     return ProblemError(503, detail, "Try again in a few seconds.", headers=retry)
 
 
+def disk_full() -> ProblemError:
+    """Nothing can be written."""
+    return ProblemError(
+        507,
+        "The disk of the service is full.",
+        "Try again later; whoever runs the service has to free some space.",
+        headers={"Retry-After": "60"},
+    )
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether a file or a database cannot be written for want of space."""
+    if isinstance(error, OSError):
+        return error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return is_database_full(error)
+
+
 def not_json(error: ValueError | RecursionError) -> ProblemError:
     """The refusal of a body that is not JSON, or nested too deeply to be read."""
     if isinstance(error, RecursionError):
@@ -161,6 +185,8 @@ def install(app: FastAPI) -> None:
 
     async def problem(request: Request, error: Exception) -> Response:
         found = as_problem(error)
+        if found.status_code == 500 and isinstance(error, OSError):
+            _LOG.error("%s %s", request.method, request.url.path, exc_info=error)
         if found.status_code == 405:
             found.headers["Allow"] = ", ".join(_allowed_methods(app, request.url.path))
         return found.response()
@@ -173,6 +199,8 @@ def install(app: FastAPI) -> None:
         OperationalError,
         InterfaceError,
         PoolTimeoutError,
+        JobChangedError,
+        OSError,
         Exception,
     ):
         app.add_exception_handler(kind, problem)
@@ -196,6 +224,12 @@ def as_problem(error: Exception) -> ProblemError:
         return _http_problem(error.status_code, str(error.detail), error.headers)
     if isinstance(error, ClientDisconnect):
         return ProblemError(400, "The body was cut off.", "Send it again.")
+    if isinstance(error, JobChangedError):
+        return ProblemError(
+            409, "Somebody else has changed the job meanwhile.", "Look where it stands by now."
+        )
+    if is_disk_full(error.orig if isinstance(error, DBAPIError) else error):
+        return disk_full()
     if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
         return unavailable("The database does not answer.")
     return ProblemError(

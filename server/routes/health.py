@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.server.context import Context
-from chamfer_morph.server.http.problems import unavailable
+from chamfer_morph.server.http.problems import is_disk_full, unavailable
 
 router: APIRouter = APIRouter(tags=["health"])
 
@@ -63,17 +63,27 @@ class MetricsMiddleware:
             await self.app(scope, receive, send)
             return
         begun = time.perf_counter()
+        answered = False
+
+        def count(status: int) -> None:
+            nonlocal answered
+            answered = True
+            operation = getattr(scope.get("route"), "operation_id", None) or "none"
+            self.metrics.requests.labels(operation, str(status)).inc()
+            self.metrics.seconds.labels(operation).observe(time.perf_counter() - begun)
 
         async def send_timed(message: Message) -> None:
             if message["type"] == "http.response.start":
-                seconds = time.perf_counter() - begun
-                operation = getattr(scope.get("route"), "operation_id", None) or "none"
-                self.metrics.requests.labels(operation, str(message["status"])).inc()
-                self.metrics.seconds.labels(operation).observe(seconds)
+                count(message["status"])
             await send(message)
 
         with self.metrics.open.track_inprogress():
-            await self.app(scope, receive, send_timed)
+            try:
+                await self.app(scope, receive, send_timed)
+            except Exception:  # answered by what is around this: the framework's last resort
+                if not answered:
+                    count(500)
+                raise
 
 
 @router.get("/livez", operation_id="livez", summary="Is the process alive?")
@@ -84,12 +94,13 @@ async def livez() -> Health:
 
 @router.get("/readyz", operation_id="readyz", summary="Can it take requests?")
 def readyz(context: Context) -> Health:
-    """Answers once the database and the data directory can be used."""
+    """Answers once the database can be asked and the data directory has room."""
     try:
         context.queue.ping()
-        probe = context.storage.uploads / ".ready"
-        probe.touch()
+        context.storage.probe()
     except Exception as error:
+        if is_disk_full(error):
+            raise unavailable("The disk of the service is full.") from error
         what = "The data directory" if isinstance(error, OSError) else "The database"
         raise unavailable(f"{what} cannot be used now.") from error
     return Health()

@@ -108,7 +108,7 @@ def list_meshes(
     rows = context.meshes.page(caller.owner_filter, before=before, limit=limit + 1)
     page, more = rows[:limit], len(rows) > limit
     return MeshPage(
-        items=[to_mesh(row, context) for row in page if context.storage.mesh_file(row.sha256)],
+        items=[mesh for row in page if (mesh := _to_mesh_or_none(row, context))],
         next_cursor=cursors.encode_cursor(page[-1].created_at, page[-1].sha256) if more else None,
     )
 
@@ -226,13 +226,29 @@ def mesh_suffix(name: str) -> str:
 
 
 def to_mesh(row: MeshRow, context: ServerContext) -> Mesh:
-    """An upload as the API shows it."""
+    """An upload as the API shows it.
+
+    Raises:
+        ProblemError: 404, it has gone, or its report cannot be read.
+    """
+    mesh = _to_mesh_or_none(row, context)
+    if mesh is None:
+        raise not_found("mesh", row.sha256)
+    return mesh
+
+
+def _to_mesh_or_none(row: MeshRow, context: ServerContext) -> Mesh | None:
+    if context.storage.mesh_file(row.sha256) is None:
+        return None
+    report = context.storage.mesh_report(row.sha256)
+    if report is None:
+        return None
     return Mesh(
         id=row.sha256,
         name=row.name,
         size_bytes=row.size_bytes,
         created_at=as_time(row.created_at),
-        report=context.storage.mesh_report(row.sha256) | {"name": row.name},
+        report=report | {"name": row.name},
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -128,12 +129,13 @@ def _metrics(log: EventLog, version: tuple[int, int], format: Literal["json", "c
     rows: dict[int, dict[str, float]] = {}
     for event in log.read(limit=1 << 30):
         if event.type == "frame":
-            index = int(event.data["frame"])
-            rows[index] = {
-                "frame": index,
-                **event.data["metrics"],
-                "seconds": event.data["seconds"],
-            }
+            with suppress(LookupError, TypeError, ValueError):  # a damaged line
+                index = int(event.data["frame"])
+                rows[index] = {
+                    "frame": index,
+                    **event.data["metrics"],
+                    "seconds": event.data["seconds"],
+                }
     table = [rows[index] for index in sorted(rows)]
     if format == "json":
         return json.dumps(table, separators=(",", ":")).encode()

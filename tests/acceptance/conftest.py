@@ -167,12 +167,12 @@ def with_patience(process: psutil.Process) -> None:
 
 
 @pytest.fixture
-def new_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
-    """Makes an empty cluster on the database of a URL."""
+def new_cluster(tmp_path: Path) -> Iterator[Callable[..., Cluster]]:
+    """Makes an empty cluster on the database of a URL, with data in a folder."""
     made: list[Cluster] = []
 
-    def make(database_url: str) -> Cluster:
-        made.append(make_cluster(tmp_path / f"data{len(made)}", database_url))
+    def make(database_url: str, data_dir: Path | None = None) -> Cluster:
+        made.append(make_cluster(data_dir or tmp_path / f"data{len(made)}", database_url))
         return made[-1]
 
     yield make
@@ -181,7 +181,7 @@ def new_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
 
 
 @pytest.fixture
-def cluster(new_cluster: Callable[[str], Cluster], database_url: str) -> Cluster:
+def cluster(new_cluster: Callable[..., Cluster], database_url: str) -> Cluster:
     """An empty cluster, on SQLite and on Postgres."""
     return new_cluster(database_url)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ import pytest
 
 from chamfer_morph.schemas import JobState
 from chamfer_morph.schemas.ids import new_id
+from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
@@ -394,18 +394,6 @@ def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
     assert set(wanted) < set(found)
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """A file system of 12 MB; skips where mounting is not allowed."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=12m", "morph", folder]
-    if subprocess.run(mount, check=False, capture_output=True).returncode:
-        pytest.skip("mounting a small file system is not allowed here")
-    yield folder
-    subprocess.run(["umount", "-l", folder], check=True)
-
-
 def test_disk_full(new_cluster, small_disk, undisturbed):
     """A job that finds the disk full fails and says so; with room again, resume finishes it."""
     cluster = new_cluster("")
@@ -424,4 +412,22 @@ def test_disk_full(new_cluster, small_disk, undisturbed):
     assert "space" in f"{record.problem.cause} {record.problem.remedy}"
     filling.unlink()
     cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=2)
+
+
+def test_disk_of_database_and_data_full(new_cluster, small_disk, undisturbed):
+    """The worker ends, for it can report nothing; started again with room, it finishes the job."""
+    cluster = new_cluster("", small_disk / "data")
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    filling = small_disk / "filling"
+    with suppress(OSError), filling.open("wb") as file:
+        while True:
+            file.write(bytes(1 << 12))
+            file.flush()
+    assert worker.wait(60) == ExitCode.DISK_FULL
+    assert cluster.job(job).state is JobState.RUNNING
+    filling.unlink()
+    cluster.worker()
     cluster.require_sound(job, undisturbed, kills=2)

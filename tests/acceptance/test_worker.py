@@ -42,6 +42,19 @@ def test_cancel_and_resume(cluster, undisturbed):
     cluster.require_sound(job, undisturbed)
 
 
+def test_a_retry_begins_anew(cluster):
+    """What a job left is there until it is in the queue again; then all frames are computed."""
+    cluster.worker()
+    job = cluster.submit(frames=2)
+    first = cluster.wait_for_state(job, JobState.SUCCEEDED)
+    cluster.queue.retry(job)
+    assert cluster.job(job).state in (JobState.QUEUED, JobState.RUNNING)
+    second = cluster.wait_for_state(job, JobState.SUCCEEDED)
+    assert second.started_at > first.finished_at
+    assert cluster.frames(job) == [0, 1]
+    assert cluster.storage.events(job).read()[0].data["attempt"] == 1
+
+
 def test_own_priorities(cluster):
     """An urgent job takes its owner's first place, and pushes no other owner out of theirs."""
     usual = [cluster.submit(frames=1, owner="a") for _ in range(2)]

@@ -85,9 +85,9 @@ class StoredExport(BaseModel):
         """One that is whole, or None."""
         try:
             text = (folder / f"{export_id}.json").read_text(encoding="utf-8")
-        except FileNotFoundError:
+            return cls.model_validate_json(text)
+        except (OSError, ValueError):
             return None
-        return cls.model_validate_json(text)
 
     def remove(self, folder: Path, export_id: str) -> None:
         """Remove it, the document first, so that it is whole as long as it is found."""

@@ -117,6 +117,16 @@ def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:
     assert answer.status_code == 503 and answer.json()["remedy"]
 
 
+def test_every_fault_is_counted(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer that the framework makes as its last resort is in the figures, too."""
+    monkeypatch.setattr(api.context, "queue", None)
+    once = {"Connection": "close"}  # the server closes it after a fault
+    assert api.http.get("/v1/workers", headers=once).status_code == 500
+    monkeypatch.undo()
+    figures = api.http.get("/metrics").text
+    assert 'morph_requests_total{operation="listWorkers",status="500"} 1.0' in figures
+
+
 @pytest.mark.parametrize("page", ["/docs", "/redoc"])
 def test_the_documentation_needs_no_other_host(api: Api, page: str) -> None:
     """What a page of documentation loads comes from the service itself."""
