@@ -77,9 +77,11 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
         migrate(settings)
     else:
         from chamfer_morph.server.api_server import ApiServer
+        from chamfer_morph.server.http.connection_limits import allow_many_files
         from chamfer_morph.server.listener import listen
         from chamfer_morph.worker.storage import Storage
 
+        allow_many_files()
         # parts of forms lie beside the meshes on their way in, for /tmp may be memory
         tempfile.tempdir = str(Storage(settings.data_dir).uploads)
         inherited = arguments.fd is not None

@@ -9,6 +9,7 @@ import uvicorn
 
 from chamfer_morph.server.app import create_app
 from chamfer_morph.server.context import ServerContext
+from chamfer_morph.server.http.connection_limits import LimitedProtocol
 from chamfer_morph.server.http.security_headers import SecurityHeaders
 from chamfer_morph.worker.settings import Settings
 
@@ -28,6 +29,8 @@ class ApiServer(uvicorn.Server):
                 access_log=False,
                 server_header=False,
                 lifespan="on",
+                http=LimitedProtocol,
+                ws="none",
                 timeout_graceful_shutdown=GRACE_SECONDS,
                 timeout_keep_alive=KEEP_ALIVE_SECONDS,
             )

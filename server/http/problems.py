@@ -40,6 +40,7 @@ PROBLEM_TYPES: dict[int, tuple[str, str]] = {
     416: ("range", "There is no such part of the file"),
     422: ("invalid", "The request is not valid"),
     429: ("too-many", "Too much at once"),
+    431: ("headers-too-large", "Too much before the body"),
     500: ("internal", "This is a fault of the service"),
     503: ("unavailable", "The service is not ready"),
     507: ("disk-full", "The service has no room left"),
