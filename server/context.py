@@ -19,6 +19,7 @@ from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.worker.dbos_adapter import database
+from chamfer_morph.worker.job_sizes import JobSizes
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
@@ -60,7 +61,10 @@ class ServerContext:
         )
         self.meshes: MeshStore = MeshStore(self.engine)
         self.sweeps: SweepStore = SweepStore(self.engine)
-        self.quotas: Quotas = Quotas(settings, self.storage, self.queue, self.meshes)
+        self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
+        self.quotas: Quotas = Quotas(
+            settings, self.storage, self.queue, self.meshes, self.job_sizes
+        )
         self.event_hub: EventHub = EventHub(self.queue, self.storage, settings.watchers)
         self.sandbox: Sandbox = Sandbox(settings, self.storage)
         self.inspections: SingleFlight[dict[str, Any]] = SingleFlight(CapacityLimiter(INSPECTIONS))

@@ -32,6 +32,7 @@ COLUMNS = frozenset(
     {
         "workflow_uuid", "name", "status", "authenticated_user", "attributes", "priority",
         "executor_id", "created_at", "updated_at", "completed_at", "workflow_deadline_epoch_ms",
+        "queue_name",
     }
 )  # fmt: skip
 """What the queue uses of the table."""
@@ -87,6 +88,20 @@ class WorkflowTable:
     def begin(self) -> AbstractContextManager[sa.Connection]:
         """A transaction that changes the table."""
         return self._engine.begin()
+
+    def create_indexes(self) -> None:
+        """Create what lists of jobs are read by: all of them, and an owner's, by age."""
+        c = self.table.c
+        age = sa.cast(c.created_at, sa.BigInteger)
+        indexes = (
+            sa.Index("morph_jobs_by_age", age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_owner", c.authenticated_user, age, c.workflow_uuid),
+        )
+        with self.begin() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(sa.text("select pg_advisory_xact_lock(7310247)"))
+            for index in indexes:
+                connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
 
     def close(self) -> None:
         """Give the connections back."""

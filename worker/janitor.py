@@ -6,18 +6,18 @@ import contextlib
 import logging
 import subprocess
 import time
-from datetime import datetime, timedelta, timezone
 
-from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.dbos_adapter import database
+from chamfer_morph.worker.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.locks import try_lock
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.steady_clock import SteadyClock
 from chamfer_morph.worker.storage import Storage
 from morph_engine.child_process import python_command
 
 log: logging.Logger = logging.getLogger(__name__)
 
-FINISHED = [state for state in JobState if state.finished]
 ADOPTION_LIMIT_SECONDS = 70.0
 """After this an adoption is killed; it ends itself sooner, unless somebody has stopped it."""
 RETENTION_SECONDS = 60.0
@@ -54,23 +54,47 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
     return dead
 
 
-def delete_expired(settings: Settings, queue: JobQueue) -> list[str]:
+def delete_expired(
+    settings: Settings, queue: JobQueue, sizes: JobSizes, *, by_age: bool = True
+) -> list[str]:
     """Delete finished jobs that are too old, and the oldest beyond the allowed space.
+
+    Args:
+        settings: What is too old and too much.
+        queue: The queue.
+        sizes: How much disk finished jobs fill; brought up to date here.
+        by_age: Whether the clock can be believed.
 
     Returns:
         Ids of the deleted jobs.
     """
     storage = Storage(settings.data_dir)
-    deleted = []
-    for record in queue.all(states=FINISHED):
-        if _is_expired(settings, record) and delete_if_unchanged(queue, storage, record):
-            deleted.append(record.id)
+    deleted: list[str] = []
+
+    def delete(job: str) -> None:
+        record = queue.get(job)
+        sizes.forget(job)  # one that goes on meanwhile is measured again when it has finished
+        if record is not None and delete_if_unchanged(queue, storage, record):
+            deleted.append(job)
+
+    if settings.retention_days and by_age:
+        latest = (time.time() - settings.retention_days * 86400) * 1000
+        after = 0, ""
+        while page := queue.finished(after, PAGE):
+            expired = [job for job, _, at in page if at < latest]
+            for job in expired:
+                delete(job)
+            if len(expired) < len(page):
+                break
+            after = page[-1][2], page[-1][0]
+    sizes.measure_finished()
     if settings.retention_bytes:
-        kept = 0
-        for record in queue.all(states=FINISHED):
-            kept += storage.job_bytes(record.id)
-            if kept > settings.retention_bytes and delete_if_unchanged(queue, storage, record):
-                deleted.append(record.id)
+        excess = sizes.total() - settings.retention_bytes
+        while excess > 0 and (oldest := sizes.oldest(PAGE)):
+            for job, size in oldest:
+                if excess > 0:
+                    delete(job)
+                    excess -= size
     return deleted
 
 
@@ -82,7 +106,7 @@ def delete_if_unchanged(queue: JobQueue, storage: Storage, record: JobRecord) ->
         Whether it has been deleted.
     """  # noqa: D205
     now = queue.get(record.id)
-    if now is None or now.finished_at != record.finished_at:
+    if now is None or not now.state.finished or now.finished_at != record.finished_at:
         return False
     log.info("job %s has expired", record.id)
     queue.delete(record.id)
@@ -109,19 +133,20 @@ def run(settings: Settings) -> None:
     """Do all of it for ever."""
     queue = JobQueue(settings)
     queue.migrate()
+    storage = Storage(settings.data_dir)
+    sizes = JobSizes(database(settings), queue, storage)
+    clock = SteadyClock(settings.data_dir / "locks" / "clock")
     next_deletion = 0.0
     while True:
         try:
             adopt_orphans(settings, queue)
             if time.monotonic() > next_deletion:
-                delete_expired(settings, queue)
-                delete_abandoned_uploads(Storage(settings.data_dir))
+                steady = clock.is_steady()
+                if settings.retention_days and not steady:
+                    log.warning("the clock has jumped; for a day no job is deleted for its age")
+                delete_expired(settings, queue, sizes, by_age=steady)
+                delete_abandoned_uploads(storage)
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")
         time.sleep(settings.adoption_seconds)
-
-
-def _is_expired(settings: Settings, record: JobRecord) -> bool:
-    age = datetime.now(timezone.utc) - (record.finished_at or record.created_at)
-    return settings.retention_days > 0 and age > timedelta(days=settings.retention_days)

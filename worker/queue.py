@@ -54,6 +54,10 @@ UNREADABLE = Problem(
     kind="internal",
 )
 
+_ENQUEUED: sa.ColumnElement[str] = sa.literal_column("'ENQUEUED'")
+_PENDING: sa.ColumnElement[str] = sa.literal_column("'PENDING'")
+"""Not as parameters, for which SQLite uses no partial index."""
+
 log: logging.Logger = logging.getLogger(__name__)
 
 
@@ -121,6 +125,7 @@ class JobQueue:
     def migrate(self) -> None:
         """Create or upgrade the tables and the queue; harmless to repeat."""
         migrate(self._settings)
+        self._workflows.create_indexes()
         self._client.register_queue(
             QUEUE,
             worker_concurrency=1,
@@ -250,17 +255,49 @@ class JobQueue:
             counts[job_state(status, late=bool(late))] += count
         return counts
 
+    def unfinished(self, owner: str) -> int:
+        """Number of jobs of an owner that are queued or running."""
+        query = self._select(sa.func.count()).where(self._in_flight, self._and_owned_by(owner))
+        return int(self._rows(query)[0][0])
+
+    def finished(self, after: tuple[int, str], limit: int) -> list[tuple[str, str, int]]:
+        """Finished jobs, the longest finished first: id, owner, and when [ms since 1970].
+
+        Args:
+            after: Only those that finished after this time, or then and have a larger id.
+            limit: At most so many.
+        """
+        c = self._table.c
+        at = c.completed_at
+        query = self._select(c.workflow_uuid, c.authenticated_user, at).where(
+            (at > after[0]) | ((at == after[0]) & (c.workflow_uuid > after[1])),
+            at >= after[0],  # for the index
+        )
+        rows = self._rows(query.order_by(at, c.workflow_uuid).limit(limit))
+        return [(job, "" if owner == NOBODY else owner, int(at)) for job, owner, at in rows]
+
+    def unmeasured(self, owner: str, after: int) -> list[str]:
+        """Ids of an owner's jobs that are not finished, or have finished after a time [ms]."""
+        c, mine = self._table.c, self._and_owned_by(owner)
+        queries = (
+            self._select(c.workflow_uuid).where(self._in_flight, mine),
+            self._select(c.workflow_uuid).where(c.completed_at > after, mine),
+        )
+        return [job for query in queries for (job,) in self._rows(query)]
+
     def position(self, job_id: str) -> int | None:
         """Jobs that start before a queued one; None if it is not queued."""
         c = self._table.c
-        waiting = c.status.in_(["ENQUEUED", "DELAYED"])
+        waiting = c.status == _ENQUEUED
         query = self._select(c.priority, c.created_at).where(waiting, c.workflow_uuid == job_id)
         found = self._rows(query)
         if not found:
             return None
         place, created = found[0]
         earlier = (c.priority < place) | ((c.priority == place) & (c.created_at < created))
-        return int(self._rows(self._select(sa.func.count()).where(waiting, earlier))[0][0])
+        return int(
+            self._rows(self._select(sa.func.count()).where(self._in_flight, waiting, earlier))[0][0]
+        )
 
     def cancel(self, job_id: str) -> None:
         """Stop a job; a running one ends within two seconds and keeps its frames."""
@@ -301,7 +338,9 @@ class JobQueue:
     def running(self) -> dict[str, set[str]]:
         """Ids of the running jobs by the worker slot that holds them."""
         c = self._table.c
-        query = self._select(c.executor_id, c.workflow_uuid).where(c.status == "PENDING")
+        query = self._select(c.executor_id, c.workflow_uuid).where(
+            self._in_flight, c.status == _PENDING
+        )
         jobs: dict[str, set[str]] = {}
         for executor, job_id in self._rows(query):
             jobs.setdefault(executor, set()).add(job_id)
@@ -329,12 +368,14 @@ class JobQueue:
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
         c = self._table.c
-        queued, running = c.status == "ENQUEUED", c.status == "PENDING"
-        last = self._select(sa.func.max(c.priority))
+        queued, running = c.status == _ENQUEUED, c.status == _PENDING
+        last = self._select(sa.func.max(c.priority)).where(self._in_flight)
         query = sa.select(
-            last.where(self._owned_by(owner), queued | running).scalar_subquery(),
+            last.where(self._and_owned_by(owner)).scalar_subquery(),
             last.where(running).scalar_subquery(),
-            self._select(sa.func.min(c.priority) - 1).where(queued).scalar_subquery(),
+            self._select(sa.func.min(c.priority) - 1)
+            .where(self._in_flight, queued)
+            .scalar_subquery(),
         )
         own, started, waiting = self._rows(query)[0]
         return 1 + max(own or 0, started if started is not None else waiting or 0)
@@ -350,7 +391,7 @@ class JobQueue:
         c = self._table.c
         priority = c.attributes["priority"].as_integer()
         query = self._select(c.workflow_uuid, c.priority, priority).where(
-            self._owned_by(owner), c.status == "ENQUEUED"
+            self._and_owned_by(owner), self._in_flight, c.status == _ENQUEUED
         )
         if not self._rows(query.where(priority > newest).limit(1)):
             return
@@ -398,8 +439,18 @@ class JobQueue:
         """A query for columns of the jobs."""
         return sa.select(*columns).where(self._table.c.name == WORKFLOW)
 
+    @property
+    def _in_flight(self) -> sa.ColumnElement[bool]:
+        """Whether a job is queued or running, in the words of DBOS's index of these."""
+        c = self._table.c
+        return (c.queue_name == QUEUE) & c.status.in_([_ENQUEUED, _PENDING])
+
     def _owned_by(self, owner: str) -> sa.ColumnElement[bool]:
         return self._table.c.authenticated_user == (owner or NOBODY)
+
+    def _and_owned_by(self, owner: str) -> sa.ColumnElement[bool]:
+        """The same where few jobs are left by other conditions: no reason to read by owner."""
+        return sa.func.coalesce(self._table.c.authenticated_user, NOBODY) == (owner or NOBODY)
 
     @property
     def _late(self) -> sa.ColumnElement[bool]:

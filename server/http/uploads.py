@@ -9,10 +9,11 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
-from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Callable
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import anyio
 from starlette.datastructures import FormData, UploadFile
@@ -20,6 +21,8 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from chamfer_morph.server.http.problems import ProblemError, too_large
+
+Value = TypeVar("Value")
 
 BLOCK_BYTES = 1 << 20
 NAME_LENGTH = 200
@@ -45,7 +48,11 @@ class Upload:
 
 @asynccontextmanager
 async def save_upload(
-    chunks: AsyncIterable[bytes], folder: Path, name: str, max_bytes: int
+    chunks: AsyncIterable[bytes],
+    folder: Path,
+    name: str,
+    max_bytes: int,
+    count: Callable[[int], None],
 ) -> AsyncIterator[Upload]:
     """Write what comes in to a temporary file, gone in the end unless it was moved.
 
@@ -54,6 +61,7 @@ async def save_upload(
         folder: Where to put the file.
         name: What the user calls it.
         max_bytes: Its largest size.
+        count: Told of the bytes that are written; may refuse more.
 
     Raises:
         ProblemError: 413, it is larger.
@@ -68,6 +76,7 @@ async def save_upload(
                 size += len(chunk)
                 if size > max_bytes:
                     raise too_large(max_bytes)
+                count(len(chunk))
                 digest.update(chunk)
                 await file.write(chunk)
         yield Upload(path, name, digest.hexdigest(), size)
@@ -76,14 +85,21 @@ async def save_upload(
 
 
 @asynccontextmanager
-async def receive_form(request: Request, max_field_bytes: int) -> AsyncIterator[FormData]:
+async def receive_form(
+    request: Request, max_field_bytes: int, count: Callable[[int], None]
+) -> AsyncIterator[FormData]:
     """The parts of a multipart form, each name once; its files are in temporary files.
+
+    Args:
+        request: The request.
+        max_field_bytes: Largest part that is no file.
+        count: Told of the bytes that come; may refuse more.
 
     Raises:
         ProblemError: 413 too large, 422 not a form, or a part that is there twice.
     """
     try:
-        form = await _FormParser(request, max_field_bytes).parse()
+        form = await _FormParser(request, max_field_bytes, count).parse()
     except MultiPartException as error:
         if "aximum" in error.message:  # Starlette tells what is too much in words only
             raise ProblemError(413, error.message, "Send fewer and smaller parts.") from None
@@ -104,7 +120,9 @@ async def receive_form(request: Request, max_field_bytes: int) -> AsyncIterator[
 class _FormParser(MultiPartParser):
     """Starlette's parser, which would take a form that was cut off for a whole one."""
 
-    def __init__(self, request: Request, max_field_bytes: int) -> None:
+    def __init__(
+        self, request: Request, max_field_bytes: int, count: Callable[[int], None]
+    ) -> None:
         super().__init__(
             request.headers,
             self._until_end(request.stream()),
@@ -112,6 +130,7 @@ class _FormParser(MultiPartParser):
             max_fields=MAX_PARTS,
             max_part_size=max_field_bytes,
         )
+        self._count = count
         self._ended = False
 
     def on_end(self) -> None:
@@ -119,9 +138,17 @@ class _FormParser(MultiPartParser):
 
     async def _until_end(self, chunks: AsyncIterable[bytes]) -> AsyncGenerator[bytes, None]:
         async for chunk in chunks:
+            self._count(len(chunk))
             yield chunk
         if not self._ended:
             raise MultiPartException("The form was cut off.")
+
+
+async def enter_in_thread(stack: AsyncExitStack, manager: AbstractContextManager[Value]) -> Value:
+    """Enter a context whose beginning blocks, until the end of the stack."""
+    value = await anyio.to_thread.run_sync(manager.__enter__)
+    stack.push(manager.__exit__)
+    return value
 
 
 async def read_blocks(file: UploadFile) -> AsyncIterator[bytes]:

@@ -127,7 +127,7 @@ async def delete_export(
     context.exports.cancel(job.id, export_id)
     if stored is not None:
         await anyio.to_thread.run_sync(stored.remove, folder, export_id)
-        context.quotas.invalidate(job.owner)
+        await anyio.to_thread.run_sync(context.quotas.job_changed, job.id, job.owner)
 
 
 @router.get(
@@ -177,6 +177,7 @@ def _start(options: ExportOptions, job: JobRecord, context: ServerContext) -> No
     def compute(flight: Flight[None]) -> None:
         available = context.quotas.available_bytes(job.owner)
         context.sandbox.make_export(job.id, options, available, flight)
+        context.quotas.job_changed(job.id, job.owner)
 
     context.exports.start(key, compute, job.owner)
 

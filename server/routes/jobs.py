@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, nullcontext
 from typing import Annotated, Any
 
 import anyio
@@ -18,7 +18,12 @@ from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError, too_large
 from chamfer_morph.server.http.request_body import load_json, media_type, read_json, validate
-from chamfer_morph.server.http.uploads import read_blocks, receive_form, save_upload
+from chamfer_morph.server.http.uploads import (
+    enter_in_thread,
+    read_blocks,
+    receive_form,
+    save_upload,
+)
 from chamfer_morph.server.routes.job_lookup import VisibleJob, check_allowed, find_job
 from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
@@ -168,7 +173,7 @@ def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
     context.queue.delete(job.id)
     context.cancel_computations(job.id)
     context.storage.remove_job(job.id)
-    context.quotas.invalidate(job.owner)
+    context.quotas.job_gone(job.id, job.owner)
 
 
 @router.post("/{job_id}/cancel", status_code=202, operation_id="cancelJob", summary="Cancel a job")
@@ -184,8 +189,10 @@ def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
 def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Let a failed, cancelled or timed out job go on from its last frame."""
     check_allowed(job, "resume")
-    _check_startable(job, context)
-    context.queue.resume(job.id)
+    _check_shapes(job, context)
+    with context.quotas.letting_in_jobs(job.owner):
+        context.queue.resume(job.id)
+    context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
 
 
@@ -193,9 +200,11 @@ def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
 def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Compute a finished job again from the beginning; what it left is deleted."""
     check_allowed(job, "retry")
-    _check_startable(job, context)
-    context.cancel_computations(job.id)
-    context.queue.retry(job.id)
+    _check_shapes(job, context)
+    with context.quotas.letting_in_jobs(job.owner):
+        context.cancel_computations(job.id)
+        context.queue.retry(job.id)
+    context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
 
 
@@ -204,9 +213,9 @@ def _submit(
 ) -> tuple[Job, bool]:
     submission = prepare(body, caller, context)
     job_id = idempotent_id("job", caller, key) if key else new_id()
-    if not key or context.queue.get(job_id) is None:
-        context.quotas.check_jobs(caller.name)
-    record, new = submit(submission, job_id=job_id, caller=caller, context=context)
+    known = bool(key) and context.queue.get(job_id) is not None
+    with nullcontext() if known else context.quotas.letting_in_jobs(caller.name):
+        record, new = submit(submission, job_id=job_id, caller=caller, context=context)
     return to_job(record, context), new
 
 
@@ -215,7 +224,8 @@ async def _receive_form(
 ) -> JobRequest:
     """The request in a form, its files uploaded; nothing is kept if any part of it is wrong."""
     settings = context.settings
-    form = await stack.enter_async_context(receive_form(request, settings.body_bytes))
+    incoming = await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name, 0))
+    form = await stack.enter_async_context(receive_form(request, settings.body_bytes, incoming.add))
     files = {role: form[role] for role in ("source", "target") if role in form}
     if form.keys() - files.keys() != {"job"}:
         raise ProblemError(
@@ -236,12 +246,12 @@ async def _receive_form(
             raise ProblemError(422, f"The part `{role}` is no file.", "Send it with a file name.")
         folder, name = context.storage.uploads, file.filename or ""
         uploads[role] = await stack.enter_async_context(
-            save_upload(read_blocks(file), folder, name, settings.upload_bytes)
+            save_upload(read_blocks(file), folder, name, settings.upload_bytes, incoming.add)
         )
     shapes = {role: {"mesh": upload.sha256} for role, upload in uploads.items()}
     job = validate(body | shapes, JobRequest)
     if uploads:
-        await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
+        await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name, len(uploads)))
         await store_uploads(list(uploads.values()), request, caller, context)
     return job
 
@@ -255,8 +265,7 @@ async def _text(part: UploadFile | str, max_bytes: int) -> bytes | str:
     return await part.read()
 
 
-def _check_startable(job: JobRecord, context: ServerContext) -> None:
-    context.quotas.check_jobs(job.owner)
+def _check_shapes(job: JobRecord, context: ServerContext) -> None:
     for shape in (job.spec.source, job.spec.target):
         if isinstance(shape, MeshShape) and context.storage.mesh_file(shape.mesh) is None:
             raise ProblemError(

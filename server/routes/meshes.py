@@ -24,6 +24,7 @@ from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.http.request_body import media_type
 from chamfer_morph.server.http.uploads import (
     Upload,
+    enter_in_thread,
     plain_name,
     read_blocks,
     receive_form,
@@ -76,12 +77,12 @@ async def upload_mesh(
     OBJ, PLY, STL, OFF, GLB and self-contained glTF are read. A mesh that cannot be filled with
     particles is refused, with the reason. The same file sent again is the same mesh.
     """
-    await anyio.to_thread.run_sync(context.quotas.check_meshes, caller.name)
     name = plain_name(name)
     async with AsyncExitStack() as stack:
+        incoming = await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name))
         if media_type(request) == "multipart/form-data":
             form = await stack.enter_async_context(
-                receive_form(request, context.settings.body_bytes)
+                receive_form(request, context.settings.body_bytes, incoming.add)
             )
             file = form.get("file")
             if not isinstance(file, UploadFile):
@@ -91,7 +92,9 @@ async def upload_mesh(
             mesh_suffix(name)
             chunks = request.stream()
         upload = await stack.enter_async_context(
-            save_upload(chunks, context.storage.uploads, name, context.settings.upload_bytes)
+            save_upload(
+                chunks, context.storage.uploads, name, context.settings.upload_bytes, incoming.add
+            )
         )
         (row, new), *_ = await store_uploads([upload], request, caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"

@@ -130,12 +130,14 @@ def _submit(
         )
         for source, target, method, seed in product(*axes)
     ]
-    if before is None:
-        context.quotas.check_jobs(caller.name, len(submissions))
-    stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
-    for index, submission in enumerate(submissions):
-        job_id = idempotent_id(f"job {index}", caller, sweep_id)
-        submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
+    adding = 0 if before else len(submissions)
+    with context.quotas.letting_in_jobs(caller.name, adding) as queued:
+        stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
+        for index, submission in enumerate(submissions):
+            job_id = idempotent_id(f"job {index}", caller, sweep_id)
+            submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
+            if adding:
+                queued()
     return _show(stored, context), before is None
 
 

@@ -9,12 +9,14 @@ import time
 import pytest
 
 from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.janitor import (
     ABANDONED_SECONDS,
     delete_abandoned_uploads,
     delete_expired,
     delete_if_unchanged,
 )
+from chamfer_morph.worker.job_sizes import JobSizes
 from chamfer_morph.worker.storage import Storage
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
@@ -30,17 +32,18 @@ def test_retention(cluster):
     worker.wait(10)
     queued = cluster.submit()
     storage, queue = cluster.storage, cluster.queue
-    assert delete_expired(cluster.settings, queue) == []
+    sizes = JobSizes(database(cluster.settings), queue, storage)
+    assert delete_expired(cluster.settings, queue, sizes) == []
 
     room = storage.job_bytes(finished[2]) + storage.job_bytes(finished[1]) + 1
     by_space = cluster.settings.model_copy(update={"retention_bytes": room})
-    assert delete_expired(by_space, queue) == [finished[0]]
+    assert delete_expired(by_space, queue, sizes) == [finished[0]]
     assert queue.get(finished[0]) is None
     assert not storage.job_dir(finished[0]).exists()
 
     time.sleep(0.1)
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
-    assert set(delete_expired(by_age, queue)) == set(finished[1:])
+    assert set(delete_expired(by_age, queue, sizes)) == set(finished[1:])
     assert [record.id for record in queue.newest()] == [queued]
 
 

@@ -205,7 +205,7 @@ def test_limits_are_answered_with_a_time_to_retry(
     one_more = api.http.post("/v1/meshes?name=b.obj", content=cube + b"#\n")
     for answer in (too_many, one_more):
         assert answer.status_code == 429 and int(answer.headers["Retry-After"]) > 0
-    api = make_api(disk_bytes_per_key=1)
+    api = make_api(disk_bytes_per_key=len(cube))
     assert api.http.post("/v1/meshes?name=a.obj", content=cube).status_code == 201
     api.context.quotas.invalidate("")
     assert api.http.post("/v1/jobs", json=MORPH).status_code == 413

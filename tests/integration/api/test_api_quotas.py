@@ -1,0 +1,119 @@
+"""What a key may have, however much it asks for at the same time; and how much disk is counted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+
+from chamfer_morph.worker.janitor import delete_expired
+from morph_engine.results.run_record import RunRecord
+from tests.integration.api.conftest import COARSE, MORPH, Api
+
+
+def test_parallel_submits_stay_within_the_quota(
+    make_api: Callable[..., Api], database_url: str
+) -> None:
+    """Of many jobs at once as many are let in as one after the other; so it is with retries."""
+    api = make_api(queued_jobs_per_key=5, database_url=database_url)
+    body = MORPH | {"overrides": COARSE}
+    with ThreadPoolExecutor(20) as pool:
+        answers = [*pool.map(lambda _: api.http.post("/v1/jobs", json=body), range(40))]
+    assert {answer.status_code for answer in answers} == {202, 429}
+    assert sum(answer.status_code == 202 for answer in answers) <= 5
+    while api.http.post("/v1/jobs", json=body).status_code == 202:
+        pass
+    jobs = [job["id"] for job in api.http.get("/v1/jobs").json()["items"]]
+    assert len(jobs) == 5
+    sweep = {"sources": [MORPH["source"]], "targets": [MORPH["target"]], "seeds": [1, 2]}
+    assert api.http.post("/v1/sweeps", json=sweep).status_code == 429
+    for job in jobs[:2]:
+        assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
+    assert api.http.post("/v1/sweeps", json=sweep).status_code == 202
+    assert api.http.post(f"/v1/jobs/{jobs[0]}/retry").status_code == 429
+
+
+def test_parallel_uploads_stay_within_the_quota(make_api: Callable[..., Api], cube: bytes) -> None:
+    """Meshes on their way in count."""
+    api = make_api(meshes_per_key=3)
+
+    def upload(index: int) -> int:
+        query = {"name": "cube.obj"}
+        content = cube + b"#" * index
+        return api.http.post("/v1/meshes", params=query, content=content).status_code
+
+    with ThreadPoolExecutor(12) as pool:
+        answers = [*pool.map(upload, range(12))]
+    assert set(answers) == {201, 429} and answers.count(201) <= 3
+    index = 12
+    while upload(index) == 201:
+        index += 1
+    assert len(api.http.get("/v1/meshes").json()["items"]) == 3
+
+
+def test_temporary_files_count(make_api: Callable[..., Api], cube: bytes) -> None:
+    """Two uploads that would fill the disk of a key together are not both taken."""
+    api = make_api(disk_bytes_per_key=1_000_000)
+    begun, go_on = threading.Barrier(3), threading.Event()
+
+    def content() -> Iterator[bytes]:
+        yield cube + b"#" * 600_000 + b"\n"
+        begun.wait(30)
+        go_on.wait(30)
+        yield b"#\n" * 10
+
+    def upload(_: int) -> int:
+        with httpx.Client(base_url=api.http.base_url, timeout=60) as http:
+            query = {"name": "cube.obj"}
+            return http.post("/v1/meshes", params=query, content=content()).status_code
+
+    with ThreadPoolExecutor(2) as pool:
+        answers = pool.map(upload, range(2))
+        begun.wait(30)
+        go_on.set()
+        assert sorted(answers) == [201, 413]
+    assert not api.uploads()
+    assert api.context.quotas.arrived("", 0) == 0
+
+
+def test_disk_is_summed_up(either: Api, run: RunRecord) -> None:
+    """The sum is that of all folders, before and after the janitor has measured them."""
+    sizes, storage = either.context.job_sizes, either.context.storage
+
+    def walked() -> int:
+        return sum(storage.job_bytes(path.name) for path in (storage.root / "jobs").iterdir())
+
+    jobs = [either.finished(run) for _ in range(3)]
+    running = either.running(run)
+    assert sizes.of("") == walked() > 0
+    sizes.measure_finished()
+    assert sizes.of("") == walked()
+    assert sizes.total() == walked() - storage.job_bytes(running)
+    later = either.finished(run)
+    assert sizes.of("") == walked()
+    either.http.get(f"/v1/jobs/{jobs[0]}/frames/0/surface")
+    assert either.http.delete(f"/v1/jobs/{jobs[1]}").status_code == 204
+    assert either.http.post(f"/v1/jobs/{jobs[2]}/retry").status_code == 202
+    assert sizes.of("") == walked()
+    sizes.measure_finished()
+    assert sizes.of("") == walked()
+    assert [job for job, _ in sizes.oldest(9)] == [jobs[0], later]
+
+
+def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
+    """As many as it takes, and none that has not finished."""
+    sizes, storage, queue = either.context.job_sizes, either.context.storage, either.context.queue
+    jobs = [either.finished(run) for _ in range(3)]
+    running = either.running(run)
+    room = storage.job_bytes(jobs[1]) + storage.job_bytes(jobs[2])
+    settings = either.settings.model_copy(update={"retention_bytes": room})
+    assert delete_expired(settings, queue, sizes) == [jobs[0]]
+    assert delete_expired(settings, queue, sizes) == []
+    by_age = either.settings.model_copy(update={"retention_days": 1e-9})
+    assert delete_expired(by_age, queue, sizes, by_age=False) == []
+    assert delete_expired(by_age, queue, sizes) == jobs[1:]
+    left: list[Path] = [*(storage.root / "jobs").iterdir()]
+    assert [path.name for path in left] == [running] and sizes.total() == 0

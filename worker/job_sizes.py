@@ -1,0 +1,110 @@
+"""How much disk finished jobs fill, in a table: summed up by a query, not by a walk over folders.
+
+The janitor measures a job once it has finished, and whoever adds to its files or deletes them
+measures it again. Jobs that are not finished, and those that the janitor has not come to yet, are
+measured where they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.storage import Storage
+
+PAGE = 1000
+"""Jobs measured at once."""
+
+OVERLAP_MILLISECONDS = 60_000
+"""Jobs that have finished so long before the last measured one are looked for again: their rows may
+come late, and clocks differ."""
+
+_TABLE = sa.Table(
+    "morph_job_sizes",
+    sa.MetaData(),
+    sa.Column("job", sa.String(26), primary_key=True),
+    sa.Column("owner", sa.String(64), nullable=False),
+    sa.Column("finished_at", sa.BigInteger, nullable=False),
+    sa.Column("bytes", sa.BigInteger, nullable=False),
+    sa.Index("morph_job_sizes_by_owner", "owner", "bytes"),
+    sa.Index("morph_job_sizes_by_age", "finished_at"),
+)
+"""When a job finished in milliseconds since 1970."""
+
+
+class JobSizes:
+    """The table. Calls block.
+
+    Args:
+        engine: The database of the queue.
+        queue: The queue.
+        storage: The files.
+    """
+
+    def __init__(self, engine: sa.Engine, queue: JobQueue, storage: Storage) -> None:
+        self._engine = engine
+        self._queue = queue
+        self._storage = storage
+        with engine.begin() as connection:
+            if engine.dialect.name == "postgresql":
+                connection.execute(sa.text("select pg_advisory_xact_lock(7310246)"))
+            connection.execute(sa.schema.CreateTable(_TABLE, if_not_exists=True))
+            for index in _TABLE.indexes:
+                connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+
+    def measure_finished(self) -> None:
+        """Measure the jobs that have finished since the last time, page by page."""
+        newest = self._newest()
+        after = newest - OVERLAP_MILLISECONDS, ""
+        while page := self._queue.finished(after, PAGE):
+            sizes = [(*job, self._storage.job_bytes(job[0])) for job in page]
+            with self._engine.begin() as connection:
+                ids = [job for job, *_ in sizes]
+                connection.execute(sa.delete(_TABLE).where(_TABLE.c.job.in_(ids)))
+                rows = [
+                    {"job": job, "owner": owner, "finished_at": at, "bytes": size}
+                    for job, owner, at, size in sizes
+                ]
+                connection.execute(sa.insert(_TABLE), rows)
+            job, _, at = page[-1]
+            after = at, job
+
+    def measure(self, job: str) -> None:
+        """Measure a job again whose files have changed, if it is in the table."""
+        size = self._storage.job_bytes(job)
+        with self._engine.begin() as connection:
+            connection.execute(sa.update(_TABLE).where(_TABLE.c.job == job).values(bytes=size))
+
+    def forget(self, job: str) -> None:
+        """Forget a job that is deleted, or goes on."""
+        with self._engine.begin() as connection:
+            connection.execute(sa.delete(_TABLE).where(_TABLE.c.job == job))
+
+    def of(self, owner: str) -> int:
+        """Disk that the jobs of an owner fill [bytes]."""
+        return self._sum(_TABLE.c.owner == owner) + sum(
+            map(self._storage.job_bytes, self._queue.unmeasured(owner, self._newest()))
+        )
+
+    def total(self) -> int:
+        """Disk that all measured jobs fill [bytes]."""
+        return self._sum()
+
+    def oldest(self, limit: int) -> Sequence[tuple[str, int]]:
+        """Id and size [bytes] of the jobs that have finished first."""
+        query = sa.select(_TABLE.c.job, _TABLE.c.bytes).order_by(_TABLE.c.finished_at)
+        with self._engine.connect() as connection:
+            return [(job, size) for job, size in connection.execute(query.limit(limit))]
+
+    def _sum(self, *conditions: sa.ColumnElement[bool]) -> int:
+        query = sa.select(sa.func.coalesce(sa.func.sum(_TABLE.c.bytes), 0)).where(*conditions)
+        with self._engine.connect() as connection:
+            return int(connection.execute(query).scalar_one())
+
+    def _newest(self) -> int:
+        """When the job finished that was measured last [ms since 1970]."""
+        query = sa.select(sa.func.coalesce(sa.func.max(_TABLE.c.finished_at), 0))
+        with self._engine.connect() as connection:
+            return int(connection.execute(query).scalar_one())
