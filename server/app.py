@@ -12,6 +12,7 @@ from fastapi_offline import FastAPIOffline
 
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http import openapi, problems
+from chamfer_morph.server.http.local_only import LocalOnlyMiddleware
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
 from chamfer_morph.server.routes import (
     catalog,
@@ -85,6 +86,7 @@ def create_app(settings: Settings) -> FastAPI:
             "/v1/jobs": 2 * settings.upload_bytes + settings.body_bytes,
         },
     )
+    app.add_middleware(LocalOnlyMiddleware)
     app.add_middleware(health.MetricsMiddleware, metrics)
     v1 = APIRouter(prefix="/v1")
     for resource in ROUTERS:

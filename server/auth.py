@@ -6,6 +6,7 @@ import hmac
 import ipaddress
 import time
 from collections.abc import Callable, Coroutine, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -79,21 +80,31 @@ class Authenticator:
         """Read the keys again at the next request."""
         self._read_at = float("-inf")
 
-    async def authenticate(self, request: Request, secret: str | None) -> Caller:
+    async def authenticate(self, secret: str | None) -> Caller:
         """The caller.
 
         Raises:
-            ProblemError: 401 for a missing or wrong key, 403 for a foreign page or host name.
+            ProblemError: 401 for a missing or wrong key.
         """
-        if time.monotonic() - self._read_at > CACHE_SECONDS:
-            self._callers = await anyio.to_thread.run_sync(self._api_keys.callers)
-            self._read_at = time.monotonic()
+        await self._read()
         if secret is not None:
             return self._find(secret)
         if self._callers or not self._open:
             raise _unauthorized("This needs a key.")
-        _check_local(request)
         return ANONYMOUS
+
+    async def is_open(self) -> bool:
+        """Whether no key is needed, as far as that is known."""
+        if not self._open:
+            return False
+        with suppress(Exception):  # what is asked for needs the database, too, and tells it
+            await self._read()
+        return not self._callers
+
+    async def _read(self) -> None:
+        if time.monotonic() - self._read_at > CACHE_SECONDS:
+            self._callers = await anyio.to_thread.run_sync(self._api_keys.callers)
+            self._read_at = time.monotonic()
 
     def _find(self, secret: str) -> Caller:
         digest = secret_digest(secret)
@@ -122,7 +133,7 @@ class RequireScope:
         if key is None and "authorization" in request.headers:
             raise _unauthorized("The Authorization header holds no bearer key.")
         authenticator: Authenticator = request.app.state.context.authenticator
-        found = await authenticator.authenticate(request, key.credentials if key else None)
+        found = await authenticator.authenticate(key.credentials if key else None)
         if not found.has_scope(self.scope):
             raise ProblemError(
                 403,
@@ -161,22 +172,6 @@ def _requirements(dependant: Dependant) -> Iterator[RequireScope]:
         if isinstance(inner.call, RequireScope):
             yield inner.call
         yield from _requirements(inner)
-
-
-def _check_local(request: Request) -> None:
-    """Without keys, no web page of another site may reach the service through the browser."""
-    if not is_loopback(request.url.hostname or ""):
-        raise ProblemError(
-            403,
-            f"Without keys this service answers to the names of its own machine only, not to "
-            f"{request.url.hostname!r}.",
-            "Call it as 127.0.0.1 or localhost, or make a key.",
-        )
-    unsafe = request.method not in ("GET", "HEAD", "OPTIONS")
-    if unsafe and request.headers.get("sec-fetch-site") in ("cross-site", "same-site"):
-        raise ProblemError(
-            403, "A page of another site may not do this without a key.", "Make a key."
-        )
 
 
 def _unauthorized(detail: str) -> ProblemError:

@@ -115,13 +115,57 @@ def test_an_admin_deletes_its_own_upload_first(api: Api, cube: bytes) -> None:
     assert api.context.storage.mesh_file(mesh) is None
 
 
-def test_pages_of_other_sites_stay_out(api: Api) -> None:
-    """Without keys, neither a foreign host name nor a foreign page gets through a browser."""
-    assert api.http.get("/v1/jobs", headers={"Host": "evil.example"}).status_code == 403
-    foreign = {"Sec-Fetch-Site": "cross-site"}
-    assert api.http.post("/v1/jobs", json=MORPH, headers=foreign).status_code == 403
-    own = {"Sec-Fetch-Site": "same-origin"}
-    assert api.http.post("/v1/jobs", json=MORPH, headers=own).status_code == 202
+EVERYWHERE = ["/v1/jobs", "/metrics", "/docs", "/openapi.json", "/", "/v1/nowhere"]
+
+
+FOREIGN = [
+    {"Host": "evil.example"},
+    {"Host": "evil.example:8000"},
+    {"Host": "127.0.0.1.evil.example"},
+    {"Host": ""},
+    {"Origin": "http://evil.example"},
+    {"Origin": "null"},
+    {"Origin": "http://127.0.0.1:1"},
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "cors"},
+    {"X-Forwarded-For": "127.0.0.1"},
+    {"X-Forwarded-Host": "localhost"},
+    {"Forwarded": "for=127.0.0.1"},
+]
+
+
+def test_without_keys_others_stay_out(api: Api) -> None:
+    """No foreign host name, page or proxy gets through, whatever is asked for."""
+    for headers in FOREIGN:
+        for path in EVERYWHERE:
+            refused = api.http.get(path, headers=headers)
+            assert refused.status_code == 403 and refused.json()["remedy"], (path, headers)
+        assert api.http.post("/v1/jobs", json=MORPH, headers=headers).status_code == 403
+        assert api.http.get("/livez", headers=headers).status_code == 200
+
+
+def test_without_keys_this_machine_is_let_in(api: Api) -> None:
+    """By all its names, from its own page, and by a link on another one."""
+    port = api.http.base_url.port
+    own = f"127.0.0.1:{port}"
+    for headers in (
+        {"Host": f"localhost:{port}"},
+        {"Host": f"[::1]:{port}"},
+        {"Host": own, "Origin": f"http://{own}", "Sec-Fetch-Site": "same-origin"},
+        {"Sec-Fetch-Site": "none", "Sec-Fetch-Mode": "navigate"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"},
+    ):
+        assert api.http.get("/v1/jobs", headers=headers).status_code == 200, headers
+    posted = {"Origin": f"http://{own}", "Sec-Fetch-Site": "same-origin"}
+    assert api.http.post("/v1/jobs", json=MORPH, headers=posted).status_code == 202
+
+
+def test_with_keys_a_proxy_is_let_in(api: Api) -> None:
+    """Whoever has a key may come from anywhere."""
+    root = _key(api, "root", "admin")
+    headers = root | {"Host": "morph.example", "X-Forwarded-For": "10.0.0.1"}
+    assert api.http.get("/v1/jobs", headers=headers).status_code == 200
+    assert api.http.get("/metrics", headers=headers).status_code == 200
 
 
 def test_other_addresses_need_keys(tmp_path: Path) -> None:
