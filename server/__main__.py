@@ -11,7 +11,7 @@ import sys
 import tempfile
 from typing import TYPE_CHECKING
 
-from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.errors import MorphError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def main() -> None:
     )
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
-        sys.exit(_run(_parser().parse_args(), Settings()))
+        sys.exit(_run(_parser().parse_args(), load_settings()))
     except MorphError as error:
         sys.stderr.write(f"{error.cause}\n{error.remedy}\n")
         sys.exit(BAD_INPUT)
@@ -94,10 +94,11 @@ def _api_keys(settings: Settings) -> ApiKeyStore:
     """The keys, in tables that exist."""
     from chamfer_morph.server.database.api_keys import ApiKeyStore
     from chamfer_morph.server.database.tables import create
-    from chamfer_morph.worker.dbos_adapter import database
+    from chamfer_morph.worker.dbos_adapter import check_reachable, database
     from chamfer_morph.worker.storage import Storage
 
     Storage(settings.data_dir)
+    check_reachable(settings)
     engine = database(settings)
     create(engine)
     return ApiKeyStore(engine)

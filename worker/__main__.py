@@ -12,7 +12,8 @@ import time
 
 from chamfer_morph.worker import slots
 from chamfer_morph.worker.exit_codes import ExitCode
-from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.settings import Settings, load_settings
+from morph_engine.errors import MorphError
 
 POLL_SECONDS = 0.05
 LOCK_CHECK_SECONDS = 4.0
@@ -34,7 +35,18 @@ def main() -> None:
     logging.basicConfig(
         format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
     )
-    settings = Settings()
+    try:
+        _run(arguments, load_settings())
+    except MorphError as error:
+        sys.exit(f"{error.cause}\n{error.remedy}")
+
+
+def _run(arguments: argparse.Namespace, settings: Settings) -> None:
+    from chamfer_morph.worker.dbos_adapter import check_reachable
+    from chamfer_morph.worker.storage import Storage
+
+    Storage(settings.data_dir)
+    check_reachable(settings)
     if arguments.command == "run":
         run_slot(settings, slots.executor_id(arguments.slot))
     elif arguments.command == "janitor":
@@ -65,10 +77,8 @@ def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
-    from chamfer_morph.worker.storage import Storage
     from chamfer_morph.worker.workflow import launch
 
-    Storage(settings.data_dir)
     queue = JobQueue(settings)
     queue.migrate()
     lock = wait_for_lock(settings, executor, LOCK_TIMEOUT_SECONDS)

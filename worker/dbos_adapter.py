@@ -22,6 +22,7 @@ from dbos._serialization import DefaultSerializer
 
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
+from morph_engine.errors import ConfigError
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -144,6 +145,25 @@ def database(settings: Settings, *, autocommit: bool = False) -> sa.Engine:
     )
     sa.event.listen(engine, "connect", _prepare_sqlite)
     return engine
+
+
+def check_reachable(settings: Settings) -> None:
+    """See whether the database answers.
+
+    Raises:
+        ConfigError: It does not.
+    """
+    engine = database(settings)
+    try:
+        engine.connect().close()
+    except (sa.exc.DBAPIError, OSError) as error:
+        reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
+        raise ConfigError(
+            f"The database cannot be used: {reason}.",
+            "Start it, or mend MORPH_DATABASE_URL or MORPH_DATA_DIR.",
+        ) from error
+    finally:
+        engine.dispose()
 
 
 def end_when_disk_is_full(engine: sa.Engine) -> None:

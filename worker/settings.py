@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
+import os
 from pathlib import Path
 from typing import ClassVar
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from morph_engine.errors import ConfigError
 
 MIB = 1 << 20
 GIB = 1 << 30
+
+OTHER_VARIABLES = ("SERVER", "KEY", "URL", "MESHES", "CHROMIUM")
+"""What MORPH_* means to others than the service: the client, the page, and the tests."""
 
 
 class Settings(BaseSettings):
@@ -84,3 +91,32 @@ class Settings(BaseSettings):
     def on_postgres(self) -> bool:
         """Whether the queue spans machines."""
         return self.system_database_url.startswith("postgres")
+
+
+def load_settings() -> Settings:
+    """The settings of this process.
+
+    Raises:
+        ConfigError: A variable is unknown, or its value cannot be used.
+    """
+    known = [f"MORPH_{name.upper()}" for name in Settings.model_fields]
+    others = {f"MORPH_{name}" for name in OTHER_VARIABLES}
+    for name in sorted(os.environ):
+        if name.startswith("MORPH_") and name not in {*known, *others}:
+            closest = difflib.get_close_matches(name, known, 1, 0.0)[0]
+            raise ConfigError(
+                f"There is no variable {name}.",
+                f"Did you mean {closest}? All of them are in docs/settings.md.",
+            )
+    try:
+        settings = Settings()
+    except ValidationError as error:
+        fault = error.errors()[0]
+        name = "MORPH_" + "_".join(str(part) for part in fault["loc"]).upper()
+        raise ConfigError(f"{name}: {fault['msg']}.", "See docs/settings.md.") from None
+    if settings.database_url and not settings.on_postgres:
+        raise ConfigError(
+            "MORPH_DATABASE_URL is no address of a Postgres database.",
+            "Write postgresql://user:word@host:5432/name, or leave it out for SQLite.",
+        )
+    return settings

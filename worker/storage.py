@@ -32,6 +32,9 @@ class Storage:
 
     def __init__(self, root: Path) -> None:
         self.root: Path = root.absolute()
+        if not self.root.exists():
+            self.root.mkdir(parents=True, exist_ok=True)
+            self.root.chmod(0o700)  # of whoever runs the service alone
         for name in ("meshes", "uploads", "jobs", "locks", "workers"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from contextlib import suppress
 from functools import lru_cache
@@ -19,6 +17,7 @@ from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, file_response
+from chamfer_morph.server.http.csv_table import csv_table
 from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_result
 from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
@@ -140,11 +139,7 @@ def _metrics(log: EventLog, version: tuple[int, int], format: Literal["json", "c
     if format == "json":
         return json.dumps(table, separators=(",", ":")).encode()
     names = list(dict.fromkeys(name for row in table for name in row)) or ["frame"]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, restval="")
-    writer.writeheader()
-    writer.writerows(table)
-    return text.getvalue().encode()
+    return csv_table(names, ([row.get(name, "") for name in names] for row in table)).encode()
 
 
 @lru_cache(maxsize=1000)

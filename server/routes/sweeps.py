@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from itertools import product
 from typing import Annotated, Any, Literal
@@ -19,6 +17,7 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.database.tables import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
+from chamfer_morph.server.http.csv_table import csv_table
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
 from chamfer_morph.server.submission import (
@@ -177,10 +176,10 @@ def _order(row: SweepRow) -> tuple[str, str, str, int]:
 
 def _table(sweep: Sweep) -> str:
     names = list(dict.fromkeys(name for row in sweep.rows for name in row.metrics))
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(["job", "source", "target", "method", "seed", "state", *names])
-    for row in sweep.rows:
-        plain = [row.job, row.source, row.target, row.method, row.seed, row.state.value]
-        writer.writerow([*plain, *(row.metrics.get(name, "") for name in names)])
-    return text.getvalue()
+    plain = ["job", "source", "target", "method", "seed", "state"]
+    rows = (
+        [row.job, row.source, row.target, row.method, row.seed, row.state.value]
+        + [row.metrics.get(name, "") for name in names]
+        for row in sweep.rows
+    )
+    return csv_table([*plain, *names], rows)

@@ -1,0 +1,48 @@
+"""What is wrong with the settings of a process is told in two sentences."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from chamfer_morph.worker.storage import Storage
+
+
+@pytest.mark.parametrize("command", [["server", "check"], ["worker", "run"], ["worker", "janitor"]])
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("MORPH_WORKRES", "2", "MORPH_WORKERS"),
+        ("MORPH_PORT", "tcp://10.0.0.1:80", "MORPH_PORT"),
+        ("MORPH_DATABASE_URL", "mysql://morph", "postgresql://"),
+        ("MORPH_DATABASE_URL", "nonsense", "postgresql://"),
+        ("MORPH_DATABASE_URL", "postgresql://morph:secret@127.0.0.1:1/x", "refused"),
+    ],
+)
+def test_a_wrong_setting_is_named(
+    tmp_path: Path, command: list[str], name: str, value: str, words: str
+) -> None:
+    """No process starts with it, and none shows a traceback or the password."""
+    own = {name: text for name, text in os.environ.items() if not name.startswith("MORPH_")}
+    module, *arguments = command
+    ended = subprocess.run(
+        [sys.executable, "-m", f"chamfer_morph.{module}", *arguments],
+        env=own | {"MORPH_DATA_DIR": str(tmp_path / "data"), name: value},
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert ended.returncode and words in ended.stderr, ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 2 and "secret" not in ended.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes as of POSIX")
+def test_the_data_directory_is_for_its_owner_alone(tmp_path: Path) -> None:
+    """One that is there keeps what its owner has set."""
+    assert Storage(tmp_path / "new").root.stat().st_mode & 0o777 == 0o700
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o750)
+    assert Storage(shared).root.stat().st_mode & 0o777 == 0o750
