@@ -22,6 +22,7 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
+from morph_engine import kernel_loading
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 
@@ -118,6 +119,7 @@ def start(
             f"The device {wanted.device} does not compute in float64.",
             "Use --device cpu or cuda, or float32.",
         )
+    kernel_loading.shorten()
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
         ti.init(
