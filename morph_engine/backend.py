@@ -88,7 +88,11 @@ class Backend:
 
 
 def _zeroed(array: Any) -> Any:
-    array.fill(0)
+    if array.element_shape:  # to fill these, Taichi would make a kernel each time
+        kind = {ti.f32: np.float32, ti.f64: np.float64, ti.i32: np.int32}[array.dtype]
+        array.from_numpy(np.zeros((*array.shape, *array.element_shape), kind))
+    else:
+        array.fill(0)
     return array
 
 
