@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from morph_engine import backend, methods
+from morph_engine import backend, kept_results, methods
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.device import Device
@@ -371,10 +371,16 @@ def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Sim
     if not isinstance(shape, Mesh):
         return _cloud(shape, config), Similarity()
     mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
-    check_mesh(mesh, half_extent=config.domain)
     jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
-    points = sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
-    return points, similarity
+
+    def fill() -> kept_results.Arrays:
+        check_mesh(mesh, half_extent=config.domain)
+        return {
+            "points": sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
+        }
+
+    inputs = (mesh.vertices, mesh.faces, config.domain, config.spacing, jitter, config.seed)
+    return kept_results.kept("filling", inputs, fill)["points"], similarity
 
 
 def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:

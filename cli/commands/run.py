@@ -37,9 +37,11 @@ def run(
 ) -> None:
     """Morph SOURCE into TARGET."""
     from chamfer_morph.cli import local_run
+    from morph_engine import kept_results
     from morph_engine.morphing import prepare
     from morph_engine.presets import configure
 
+    kept_results.keep_in(kept_results.user_folder())
     overrides = config.overrides(method=method, frames=config.frames, seed=seed)
     record = prepare(source, target, configure(config.preset, overrides))
     summary = local_run.run(record, out or default_output(source, target), execution)
@@ -58,7 +60,9 @@ def rerun(
 ) -> None:
     """Repeat a run from its result file alone, and say how far the two end apart."""
     from chamfer_morph.cli import local_run
+    from morph_engine import kept_results
 
+    kept_results.keep_in(kept_results.user_folder())
     out = out or result.with_name(f"{result.stem}-rerun.vtkhdf")
     summary = local_run.run(local_run.record_to_rerun(result), out, execution)
     difference = local_run.rerun_difference(result, summary)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from morph_engine import flow, geometry, mpm
+from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
@@ -62,6 +62,10 @@ SETTLING_BEGINS = 0.985
 
 BAND = 1.5
 """Distances to a surface are exact so far from it [cells]."""
+
+
+ENDS = ("source", "target")
+"""Of a correspondence."""
 
 
 class Landmark(Section):
@@ -138,7 +142,7 @@ class Flow(MpmMethod[FlowOptions]):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         config, options, device = problem.config, self.options, self.device
-        dx = options.cell * config.spacing * self._coarseness()
+        dx = cell_edge(options, config.spacing, len(problem.source), len(problem.target))
         half_extent = math.ceil(config.grid.half_extent / dx) * dx
         self._grid = mpm.Grid(dx, half_extent, width=4 if options.kernel == "cubic" else 3)
         volume = np.full(len(problem.source), config.spacing**3)
@@ -229,11 +233,6 @@ class Flow(MpmMethod[FlowOptions]):
         super().restore(state)
         self._speed, self._path_length, self._settled = state["motion"].tolist()
 
-    def _coarseness(self) -> float:
-        """How much larger cells must be where particles end, or begin, farther apart."""
-        ratio = float(np.cbrt(len(self.problem.target) / len(self.problem.source)))
-        return max(ratio, math.sqrt(ratio))
-
     def _share(self, frame: int) -> float:
         return ease(frame / ((1 - self.options.rest) * self.problem.config.frames))
 
@@ -243,27 +242,42 @@ class Flow(MpmMethod[FlowOptions]):
         """Signed distance to a mesh, or to the points where there is none."""
         if mesh is None:
             return geometry.cloud_distance(points, axis, self.problem.config.spacing)
-        return geometry.mesh_distance(mesh, axis, BAND * self._grid.dx)
+        band = BAND * self._grid.dx
+        found = kept_results.kept(
+            "distance",
+            (mesh.vertices, mesh.faces, axis, band),
+            lambda: {"distance": geometry.mesh_distance(mesh, axis, band)},
+        )
+        return found["distance"]
 
     def _match(self) -> flow.Correspondence | None:
         options, problem = self.options, self.problem
         if options.like_parts == "off" and not options.landmarks:
             return None
-        source = self._controls(
-            problem.source, problem.source_to_grid, [pair.source for pair in options.landmarks]
+        placed = (
+            _placed([p.source for p in options.landmarks], problem.source_to_grid, problem.source),
+            _placed([p.target for p in options.landmarks], problem.target_to_grid, problem.target),
         )
-        target = self._controls(
-            problem.target, problem.target_to_grid, [pair.target for pair in options.landmarks]
+        found = kept_results.kept(
+            "correspondence",
+            (problem.source, problem.target, problem.config.spacing, *placed),
+            lambda: _arrays(self._match_anew(*placed)),
+        )
+        return _correspondence(found)
+
+    def _match_anew(
+        self, source_marks: NDArray[np.float64], target_marks: NDArray[np.float64]
+    ) -> flow.Correspondence:
+        """Like parts of the shapes, given where their landmarks are [dx], each shape [k, 3]."""
+        source, target = (
+            flow.sample_controls(points.astype(np.float64), self.problem.config.spacing, marks)
+            for points, marks in (
+                (self.problem.source, source_marks),
+                (self.problem.target, target_marks),
+            )
         )
         with threadpoolctl.threadpool_limits(1, "blas"):  # matrices are small: threads only wait
             return flow.match(source, target)
-
-    def _controls(
-        self, points: NDArray[np.float32], to_grid: NDArray[np.float64], marks: list[Vector]
-    ) -> flow.Controls:
-        """Controls of a shape, its landmarks first."""
-        placed = _placed(marks, to_grid, points)
-        return flow.sample_controls(points.astype(np.float64), self.problem.config.spacing, placed)
 
     def _carries(self, found: flow.Correspondence) -> bool:
         """Whether parts are carried to like parts."""
@@ -407,6 +421,49 @@ class Flow(MpmMethod[FlowOptions]):
     def _mean_move(self) -> float:
         """What particles were moved in this frame beside the flow, on average [dx]."""
         return float(self._moved.to_numpy().mean(dtype=np.float64))
+
+
+def cell_edge(options: FlowOptions, spacing: float, source_count: int, target_count: int) -> float:
+    """Edge of a grid cell [dx]; kernels are compiled for each.
+
+    Cells are larger where particles end, or begin, farther apart.
+
+    Args:
+        options: Of the method.
+        spacing: h, of the source's particles [dx].
+        source_count: Number of particles.
+        target_count: Number of target points.
+    """
+    ratio = float(np.cbrt(target_count / source_count))
+    return options.cell * spacing * max(ratio, math.sqrt(ratio))
+
+
+def _arrays(found: flow.Correspondence) -> kept_results.Arrays:
+    """A correspondence as arrays by name."""
+    ends = {
+        f"{end}_{name}": value for end in ENDS for name, value in vars(getattr(found, end)).items()
+    }
+    numbers = {"plan": found.plan, "distortion": found.distortion}
+    return {
+        name: np.asarray(value)
+        for name, value in (ends | numbers | {"plain_distortion": found.plain_distortion}).items()
+    }
+
+
+def _correspondence(arrays: kept_results.Arrays) -> flow.Correspondence:
+    """The correspondence of which `_arrays` has made arrays."""
+    source, target = (
+        flow.Controls(
+            points=arrays[f"{end}_points"],
+            weights=arrays[f"{end}_weights"],
+            geodesic=arrays[f"{end}_geodesic"],
+            scale=float(arrays[f"{end}_scale"]),
+            landmark_count=int(arrays[f"{end}_landmark_count"]),
+        )
+        for end in ENDS
+    )
+    distortions = float(arrays["distortion"]), float(arrays["plain_distortion"])
+    return flow.Correspondence(source, target, arrays["plan"], *distortions)
 
 
 def _placed(
