@@ -38,6 +38,7 @@ def code_digest(method: str) -> str:
     return digest.hexdigest()
 
 
+@cache
 def code_files(method: str) -> dict[str, Path]:
     """The files with that code by the names of their modules, in alphabetical order.
 

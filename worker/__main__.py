@@ -64,9 +64,11 @@ def adopt(settings: Settings, executor: str) -> None:
     """
     signal.alarm(ADOPTION_LIMIT_SECONDS)
     from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.spare_engine import SpareEngine
     from chamfer_morph.worker.workflow import launch
 
-    launch(settings, executor, listen=False)  # DBOS queues them in a thread of its own
+    spare = SpareEngine(settings)
+    launch(settings, executor, spare, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
     while executor in queue.running():
         time.sleep(POLL_SECONDS)
@@ -77,6 +79,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.spare_engine import SpareEngine
     from chamfer_morph.worker.workflow import launch
 
     queue = JobQueue(settings)
@@ -89,17 +92,20 @@ def run_slot(settings: Settings, executor: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(settings.data_dir, executor)
+    spare = SpareEngine(settings)
     if not paused:
-        launch(settings, executor)
+        launch(settings, executor, spare)
     last_check = time.monotonic()
     while not ended.wait(0.5):
+        if not paused:
+            spare.keep()
         if time.monotonic() - last_check > LOCK_CHECK_SECONDS:
             last_check = time.monotonic()
             if not lock.held():
                 os._exit(1)  # somebody else may take its jobs: stop at once
         if paused and not slots.is_paused(settings.data_dir, executor):
             os._exit(ExitCode.PAUSED)  # start again, unpaused
-    os._exit(0)  # its engine process ends with it
+    os._exit(0)  # its engine processes end with it
 
 
 if __name__ == "__main__":

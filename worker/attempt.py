@@ -1,24 +1,20 @@
-"""One attempt at a job, as its worker sees it: start the engine, follow it, explain its end."""
+"""One attempt at a job, as its worker sees it: take an engine, follow it, explain its end."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import psutil
 
 from chamfer_morph.schemas import Outcome, Problem
-from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
+from chamfer_morph.worker.engine import Engine
+from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
-from morph_engine.child_process import python_command
+from chamfer_morph.worker.spare_engine import SpareEngine
 
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5
@@ -44,26 +40,20 @@ class AttemptFailed(Exception):
         return self.problem.kind in ("crash", "hang")
 
 
-@dataclass
-class _EngineState:
-    """What is known of an engine process."""
-
-    outcome: Outcome | None = None
-    problem: Problem | None = None
-    frames: int = 0
-    last_message_at: float = field(default_factory=time.monotonic)
-    peak_memory: int = 0
-
-
 async def run_attempt(
-    job_dir: Path, attempt: int, settings: Settings, heartbeat: Callable[[], Awaitable[None]]
+    job_dir: Path,
+    attempt: int,
+    settings: Settings,
+    spare: SpareEngine,
+    heartbeat: Callable[[], Awaitable[None]],
 ) -> Outcome:
-    """Run the engine on a job directory until it is done.
+    """Run an engine on a job directory until it is done.
 
     Args:
         job_dir: The job's directory, with spec.json.
         attempt: Number of the attempt, from 1.
-        settings: Threads and patience.
+        settings: Patience.
+        spare: Where engines come from.
         heartbeat: Called every second; what it raises ends the attempt (the job was cancelled, or
             belongs to another worker by now).
 
@@ -73,85 +63,38 @@ async def run_attempt(
     Raises:
         AttemptFailed: The engine refused the job, died or hung.
     """
-    with (job_dir / "log.txt").open("ab") as log:
-        process = await asyncio.create_subprocess_exec(
-            *python_command(
-                "chamfer_morph.worker.engine_process",
-                str(job_dir), str(attempt), str(threads_per_job(settings)),
-            ),
-            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log,
-            start_new_session=True,
-        )  # fmt: skip
-    engine = _EngineState()
-    reader = asyncio.create_task(_read_messages(process, engine))
+    spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
+    engine = spare.take(spec, job_dir)
+    engine.assign(job_dir, attempt)
+    ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
     try:
-        while not reader.done():
-            await asyncio.wait({reader}, timeout=HEARTBEAT_SECONDS)
+        while not ended.done():
+            await asyncio.wait({ended}, timeout=HEARTBEAT_SECONDS)
             await heartbeat()
-            _send(process, HEARTBEAT)
-            engine.peak_memory = max(engine.peak_memory, _memory(process.pid))
+            engine.beat()
             if time.monotonic() - engine.last_message_at > settings.stall_seconds:
                 raise AttemptFailed(_hang(settings), engine.frames)
-        status = await process.wait()
     except BaseException:
-        await _stop(process, reader)
+        await _stop(engine, ended)
         raise
     if engine.outcome is not None:
         return engine.outcome
-    raise AttemptFailed(
-        engine.problem or _crash(status, engine, job_dir / "log.txt"), engine.frames
-    )
+    problem = engine.problem or _crash(ended.result(), engine, job_dir / "log.txt")
+    raise AttemptFailed(problem, engine.frames)
 
 
-def threads_per_job(settings: Settings) -> int:
-    """CPU threads of a job: as set, or an even share of the cores."""
-    return settings.threads or max(1, (os.cpu_count() or 1) // max(1, settings.workers))
-
-
-async def _read_messages(process: asyncio.subprocess.Process, engine: _EngineState) -> None:
-    """Read what the engine process says until it ends."""
-    assert process.stdout is not None
-    async for line in process.stdout:
-        with contextlib.suppress(ValueError):  # anything else that was printed
-            message: dict[str, Any] = json.loads(line)
-            engine.last_message_at = time.monotonic()
-            match message["type"]:
-                case "frame":
-                    engine.frames += 1
-                case "done":
-                    engine.outcome = Outcome.model_validate(message["data"])
-                case "failed":
-                    engine.problem = Problem.model_validate(message["data"])
-
-
-async def _stop(process: asyncio.subprocess.Process, reader: asyncio.Task[None]) -> None:
-    """Ask the engine process to keep its frames and end; kill it if it takes long.
+async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
+    """Ask an engine to keep its frames and end; kill it if it takes long.
 
     DBOS may cancel the task that waits here, too; the engine gets its time all the same.
     """
-    _send(process, STOP)
-    ended = asyncio.ensure_future(process.wait())
+    engine.stop()
     deadline = time.monotonic() + STOP_SECONDS
     while not ended.done() and time.monotonic() < deadline:
         with contextlib.suppress(asyncio.CancelledError):
             await asyncio.wait({ended}, timeout=deadline - time.monotonic())
     if not ended.done():
-        with contextlib.suppress(ProcessLookupError):
-            process.kill()
-    reader.cancel()
-
-
-def _send(process: asyncio.subprocess.Process, message: bytes) -> None:
-    with contextlib.suppress(OSError, RuntimeError):  # it ended just now
-        assert process.stdin is not None
-        process.stdin.write(message)
-
-
-def _memory(pid: int) -> int:
-    try:
-        return int(psutil.Process(pid).memory_info().rss)
-    except psutil.Error:
-        return 0
+        engine.kill()
 
 
 def _hang(settings: Settings) -> Problem:
@@ -162,7 +105,7 @@ def _hang(settings: Settings) -> Problem:
     )
 
 
-def _crash(status: int, engine: _EngineState, log: Path) -> Problem:
+def _crash(status: int, engine: Engine, log: Path) -> Problem:
     """Say of an engine process that ended without a word how it ended."""
     megabytes = engine.peak_memory / 1e6
     if status == -signal.SIGKILL:

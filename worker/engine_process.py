@@ -1,10 +1,11 @@
-"""The engine process of one attempt at a job, with the arguments JOB_DIR ATTEMPT THREADS.
+"""An engine process: it computes one job. Its arguments are THREADS and perhaps CELL, see `main`.
 
-It writes frames, checkpoint, events and result, and tells its worker about them in JSON lines on
-standard output. It computes only while it holds the lock of the job directory, and only as long as
-its worker lives: the worker sends a byte a second on standard input. At the end of the input, or
-after six silent seconds, the process ends at once; on STOP it makes a result of the finished frames
-first.
+Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
+`job_dir` and `attempt`, writes frames, checkpoint, events and result, and tells its worker about
+them in JSON lines on standard output. It computes only while it holds the lock of the job
+directory, and only as long as its worker lives: with a job, the worker sends a byte a second on
+standard input. At the end of the input, or after six silent seconds, the process ends at once; on
+STOP it makes a result of the finished frames first.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ import sys
 import threading
 import time
 from pathlib import Path
+from queue import Queue
 from typing import Any
+
+import psutil
 
 from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -25,8 +29,9 @@ from chamfer_morph.worker.heartbeat import STOP
 from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
+from morph_engine import backend, kept_results
 from morph_engine.child_process import lower_priority
-from morph_engine.code_digest import code_digest
+from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
 from morph_engine.morphing import prepare, run
@@ -35,19 +40,32 @@ from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
+from morph_engine.warm_up import cell_of, warm_up
 
 SILENCE_SECONDS = 6.0
 
 
-def main(job_dir: Path, attempt: int, threads: int) -> None:
-    """Compute a job, or go on with it, and say how it went."""
+def main(threads: int, cell: float | None = None) -> None:
+    """Wait for a job, compute it or go on with it, and say how it went.
+
+    Args:
+        threads: CPU threads to compute with.
+        cell: Edge of the grid cells that the job will probably have [dx].
+    """
     lower_priority()
-    threading.Thread(target=_watch_worker, args=(job_dir / "result.vtkhdf",), daemon=True).start()
+    jobs: Queue[dict[str, Any]] = Queue()
+    threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
+    if all(jobs.empty() for _ in warm_up(threads, cell)):
+        _send("ready", {"device": backend.active().device})
+    job = jobs.get()
+    job_dir = Path(job["job_dir"])
+    _write_messages_to(job_dir / "log.txt")
     storage = Storage(job_dir.parent.parent)
+    kept_results.keep_in(storage.kept_results)
     lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
     try:
         spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
-        outcome = _compute(storage, job_dir.name, spec, attempt, threads)
+        outcome = _compute(storage, job_dir.name, spec, job["attempt"], threads)
         _send("done", outcome.model_dump())
     except MorphError as error:
         _send("failed", problem_of(error).model_dump())
@@ -62,24 +80,31 @@ def main(job_dir: Path, attempt: int, threads: int) -> None:
         lock.close()
 
 
+def _write_messages_to(log: Path) -> None:
+    """Let what libraries write to standard error go to the log of the job."""
+    with log.open("ab") as file:
+        os.dup2(file.fileno(), 2)
+
+
 def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads: int) -> Outcome:
+    wall, cpu = time.time(), time.process_time()  # by which nothing of the job was computed
     out, log = storage.result_path(job_id), storage.events(job_id)
     record = _unfinished(out)
     resume = record is not None
     if record is None and _is_complete(out):
-        return _outcome(out)
+        return _outcome(out, cpu)
     if record is None:
         source, target = storage.resolve(spec.source), storage.resolve(spec.target)
         record = prepare(source, target, spec.config)
     frames = record.config.frames
     resumed = _checkpointed(out) if resume else 0
     method = record.config.method.name
-    code = code_digest(method)  # of the files as they are now
+    code = _code(method)
     events = log.read(limit=10**9)
     logged = {event.data["frame"] for event in events if event.type == "frame"}
     codes = {code, *(event.data.get("code") for event in events if event.type == "attempt")}
     log.append("attempt", {"attempt": attempt, "resumed_frames": resumed, "code": code})
-    _send("started", {"resumed_frames": resumed})
+    _send("started", {"cell": cell_of(record)})
     for frame in run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True
     ):
@@ -89,10 +114,26 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
             about = {"frame": frame.index, "frames": frames, "attempt": attempt}
             log.append("frame", about | {"metrics": frame.metrics, "seconds": frame.seconds})
             _send("frame", {"frame": frame.index})
-    provenance = provenance_by_now(method)
+    seconds = {
+        "wall_seconds": round(time.time() - wall, 2),
+        "cpu_seconds": round(time.process_time() - cpu, 2),
+    }
+    provenance = provenance_by_now(method).model_copy(update=seconds | {"code": code})
     if resumed and len(codes) > 1:
         provenance = provenance.model_copy(update={"code": ""})
-    return _outcome(out).model_copy(update={"provenance": provenance.model_dump(mode="json")})
+    outcome = _outcome(out, cpu)
+    return outcome.model_copy(update={"provenance": provenance.model_dump(mode="json")})
+
+
+def _code(method: str) -> str:
+    """Digest of the code that shapes the runs of a method.
+
+    Empty if it was changed since this process began: nobody knows which of it was loaded before.
+    """
+    began = psutil.Process().create_time()
+    if any(file.stat().st_mtime > began for file in code_files(method).values()):
+        return ""
+    return code_digest(method)
 
 
 def _unfinished(out: Path) -> RunRecord | None:
@@ -125,7 +166,7 @@ def _is_complete(out: Path) -> bool:
         return False
 
 
-def _outcome(out: Path) -> Outcome:
+def _outcome(out: Path, cpu_before: float) -> Outcome:
     with Trajectory(out) as result:
         frames = len(result)
         metrics = result.metrics_at(frames - 1)
@@ -137,19 +178,27 @@ def _outcome(out: Path) -> Outcome:
         metrics={name: value for name, value in metrics.items() if abs(value) < float("inf")},
         particle_count=len(particles),
         target_count=len(targets),
-        cpu_seconds=time.process_time(),
+        cpu_seconds=time.process_time() - cpu_before,
         peak_memory_mb=peak_memory() / 1e6,
     )
 
 
-def _watch_worker(out: Path) -> None:
-    """End this process when its worker asks for it, dies or falls silent."""
+def _watch_worker(jobs: Queue[dict[str, Any]]) -> None:
+    """Take the job, and end this process when its worker asks for it, dies or falls silent."""
+    line = b""
+    while not line.endswith(b"\n"):
+        received = os.read(0, 1)
+        if not received:
+            os._exit(ExitCode.ORPHANED)
+        line += received
+    job = json.loads(line)
+    jobs.put(job)
     while True:
         ready, _, _ = select.select([0], [], [], SILENCE_SECONDS)
         received = os.read(0, 64) if ready else b""
         if STOP in received:
             with contextlib.suppress(MorphError, OSError):  # the frames stay where they are
-                write_partial_result(out)
+                write_partial_result(Path(job["job_dir"]) / "result.vtkhdf")
             os._exit(ExitCode.STOPPED)
         if not received:
             os._exit(ExitCode.ORPHANED)
@@ -161,4 +210,4 @@ def _send(type: str, data: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+    main(int(sys.argv[1]), *map(float, sys.argv[2:]))

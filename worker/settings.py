@@ -40,6 +40,11 @@ class Settings(BaseSettings):
     threads: int = Field(
         0, ge=0, description="CPU threads of a job; 0 shares the cores out evenly."
     )
+    warm_engines: bool = Field(
+        True,
+        description="Keep a process ready for the next job of each slot, with kernels loaded; it "
+        "takes some 450 MB.",
+    )
     poll_seconds: float = Field(
         0.25, gt=0, description="How often an idle worker looks for a job [s]."
     )

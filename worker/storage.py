@@ -43,6 +43,11 @@ class Storage:
         """Directory of uploads in progress."""
         return self.root / "uploads"
 
+    @property
+    def kept_results(self) -> Path:
+        """Directory of what the engine keeps for later jobs; it may be deleted at any time."""
+        return self.root / "cache"
+
     def probe(self) -> None:
         """See whether there is room for the few blocks that a small request takes.
 

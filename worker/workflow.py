@@ -20,6 +20,7 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import is_paused
+from chamfer_morph.worker.spare_engine import SpareEngine
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 
@@ -27,18 +28,20 @@ MAX_RECOVERIES = 50
 
 _settings: Settings
 _executor: str
+_spare: SpareEngine
 
 
-def launch(settings: Settings, executor: str, *, listen: bool = True) -> None:
+def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: bool = True) -> None:
     """Start working under the name of a slot; jobs it left behind are taken up again.
 
     Args:
         settings: Database, storage and limits.
         executor: Name of the slot.
+        spare: Where engine processes come from.
         listen: Whether to take new jobs.
     """
-    global _settings, _executor
-    _settings, _executor = settings, executor
+    global _settings, _executor, _spare
+    _settings, _executor, _spare = settings, executor, spare
     engine = database(settings)
     end_when_disk_is_full(engine)
     config: DBOSConfig = {
@@ -94,7 +97,7 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     attempt = 1 + sum(1 for event in log.read(limit=10**9) if event.type == "attempt")
     while True:
         try:
-            outcome = await run_attempt(job_dir, attempt, _settings, _heartbeat)
+            outcome = await run_attempt(job_dir, attempt, _settings, _spare, _heartbeat)
             return outcome.model_dump(mode="json")
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience

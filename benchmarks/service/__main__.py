@@ -9,11 +9,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 from benchmarks.record import document, machine
-from benchmarks.service import fairness, latency, load
+from benchmarks.service import fairness, first_frame, latency, load
 from benchmarks.service.local_service import LocalService
 from benchmarks.service.measurement import table
 
-GROUPS = {"latency": latency.measure, "fairness": fairness.measure, "load": load.measure}
+GROUPS = {
+    "latency": latency.measure,
+    "first-frame": first_frame.measure,
+    "fairness": fairness.measure,
+    "load": load.measure,
+}
 
 
 def main() -> int:

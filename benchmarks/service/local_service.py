@@ -43,11 +43,14 @@ class LocalService:
         )
 
     @contextmanager
-    def served(self, workers: int) -> Iterator[tuple[httpx.Client, psutil.Process]]:
-        """Run `morph serve` with default settings but for one thread a job.
+    def served(
+        self, workers: int, threads: int = 1
+    ) -> Iterator[tuple[httpx.Client, psutil.Process]]:
+        """Run `morph serve` with default settings but for the threads.
 
         Args:
             workers: Worker slots.
+            threads: Of a job; 0 shares the cores out evenly.
 
         Yields:
             A client of the API, and the supervisor.
@@ -63,7 +66,7 @@ class LocalService:
                     "MORPH_DATABASE_URL": self.database_url,
                     "MORPH_PORT": str(port),
                     "MORPH_WORKERS": str(workers),
-                    "MORPH_THREADS": "1",
+                    "MORPH_THREADS": str(threads),
                 },
                 stdout=log,
                 stderr=log,

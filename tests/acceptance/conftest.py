@@ -71,15 +71,17 @@ class Cluster:
         owner: str = "",
         timeout: float = 300,
         priority: int = 100,
+        device: str = "cpu",
+        precision: str = "float32",
     ) -> str:
         """Queue a small job whose frames take a while."""
         settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "frames": frames}
-        config = configure("fast", settings)
+        config = configure("fast", settings | {"precision": precision})
         spec = JobSpec(
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),
             config=config,
-            device="cpu",
+            device=device,
             timeout_seconds=timeout,
         )
         job_id = new_id()
@@ -117,18 +119,25 @@ class Cluster:
         return self.job(job_id)
 
     def engine(self, worker: subprocess.Popen[bytes]) -> psutil.Process:
-        """The engine process of a worker, which has other short-lived children too."""
-        found: list[psutil.Process] = []
+        """The engine process of the job that a worker computes."""
+        self.wait_until(lambda: bool(self.engines(worker)), "the engine process of a worker")
+        return self.engines(worker)[0]
 
-        def is_there() -> bool:
-            for child in psutil.Process(worker.pid).children():
-                with suppress(psutil.Error):  # it has ended
-                    if "chamfer_morph.worker.engine_process" in child.cmdline():
-                        found.append(child)
-            return bool(found)
+    def engines(self, worker: subprocess.Popen[bytes]) -> list[psutil.Process]:
+        """Engine processes of a worker that have a job."""
+        return [engine for engine in _engine_processes(worker) if self._has_job(engine)]
 
-        self.wait_until(is_there, "the engine process of a worker")
-        return found[0]
+    def spare(self, worker: subprocess.Popen[bytes]) -> psutil.Process | None:
+        """The engine process of a worker that waits for a job, if there is one."""
+        spares = (engine for engine in _engine_processes(worker) if not self._has_job(engine))
+        return next(spares, None)
+
+    def _has_job(self, engine: psutil.Process) -> bool:
+        """It writes its messages into the directory of its job."""
+        jobs = str(self.settings.data_dir / "jobs")
+        with suppress(psutil.Error):  # it has ended
+            return any(file.path.startswith(jobs) for file in engine.open_files())
+        return False
 
     def require_sound(self, job_id: str, undisturbed: np.ndarray, *, kills: int = 1) -> None:
         """A succeeded job: its result equals an undisturbed one, and little was done twice."""
@@ -154,6 +163,16 @@ class Cluster:
                     with_patience(member)
             process.wait()
         self.queue.close()
+
+
+def _engine_processes(worker: subprocess.Popen[bytes]) -> list[psutil.Process]:
+    """The engine processes of a worker, which has other short-lived children too."""
+    found = []
+    for child in psutil.Process(worker.pid).children():
+        with suppress(psutil.Error):  # it has ended
+            if "chamfer_morph.worker.engine_process" in child.cmdline():
+                found.append(child)
+    return found
 
 
 def with_patience(process: psutil.Process) -> None:

@@ -199,8 +199,7 @@ def test_cancel_while_finishing(cluster, undisturbed):
     cluster.wait_for_frame(job, len(undisturbed) - 1)
     cluster.queue.cancel(job)  # changes nothing if the job was faster
     state = cluster.wait_for_state(job, JobState.SUCCEEDED, JobState.CANCELLED).state
-    children = psutil.Process(worker.pid).children
-    assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
+    assert cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end") < 2.5
     assert cluster.job(job).state is state
     if state is JobState.CANCELLED:
         cluster.queue.resume(job)
@@ -228,8 +227,7 @@ def test_timeout(cluster):
     record = cluster.wait_for_state(job, JobState.TIMED_OUT, JobState.CANCELLED)
     assert record.state is JobState.TIMED_OUT
     assert "15 s" in record.problem.cause
-    children = psutil.Process(worker.pid).children
-    assert cluster.wait_until(lambda: not children(), "the engine to end") < 2.5
+    assert cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end") < 2.5
     done = len(cluster.frames(job))
     assert done > 0
     cluster.queue.resume(job)

@@ -1,0 +1,114 @@
+"""How long a user waits for the first computed frame of a default job, and for all of it.
+
+Jobs of 38k particles follow one another, each when the service is idle. For every second one the
+service has forgotten what it kept of the shapes, but not the compiled kernels.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from statistics import median, quantiles
+from typing import Any
+
+import httpx
+import psutil
+
+from benchmarks.service.latency import seconds
+from benchmarks.service.local_service import LocalService, job_document, submit
+from benchmarks.service.measurement import Measurement
+from chamfer_morph.worker.storage import Storage
+
+JOBS = 10
+FRAMES = 40
+QUIET_SECONDS = 2.0
+QUIET_SHARE = 0.1
+"""Of a core, that an idle service takes at most."""
+
+
+def measure(service: LocalService) -> list[Measurement]:
+    """Submit, wait for the first frame, then for the end and for rest."""
+    known, new, whole = [], [], []
+    with service.served(workers=1, threads=0) as (api, supervisor):
+        for turn in range(-1, 2 * JOBS):
+            wait_until_idle(supervisor)
+            if turn % 2:
+                kept = Storage(service.data_dir).kept_results
+                shutil.rmtree(kept, ignore_errors=True)
+            frames = FRAMES if turn in (0, 2, 4) else 2
+            submitted = time.time()
+            job = submit(api, request(frames))
+            first = first_frame(api, job) - submitted
+            shown = finished(api, job)
+            if turn >= 0:  # kernels were compiled before
+                (new if turn % 2 else known).append(first)
+            if frames == FRAMES:
+                whole.append(seconds(shown["finished_at"]) - submitted)
+    return [
+        *spread("submit to first frame, known shapes", known, (0.8, 1.2)),
+        *spread("submit to first frame, new shapes", new, (None, None)),
+        Measurement("submit to the end, 40 frames", median(whole), 6.0, "s", f"{len(whole)} times"),
+    ]
+
+
+def request(frames: int) -> dict[str, Any]:
+    """A job with default settings."""
+    return {"source": {"shape": "sphere"}, "target": {"shape": "star"}, "frames": frames}
+
+
+def spread(
+    what: str, times: list[float], limits: tuple[float | None, float | None]
+) -> list[Measurement]:
+    """The median and the 95th percentile of some times [s]."""
+    note = f"{len(times)} times, from {min(times):.2f} to {max(times):.2f}"
+    return [
+        Measurement(f"{what}: median", median(times), limits[0], "s", note),
+        Measurement(f"{what}: p95", quantiles(times, n=20)[-1], limits[1], "s"),
+    ]
+
+
+def first_frame(api: httpx.Client, job: str) -> float:
+    """When a watcher hears of the first frame of a job [s since 1970]."""
+    with api.stream("GET", f"/v1/jobs/{job}/events") as stream:
+        stream.raise_for_status()
+        for line in stream.iter_lines():
+            if line.startswith("data:"):
+                event = json.loads(line.removeprefix("data:"))
+                if event["type"] == "frame":
+                    return time.time()
+    raise RuntimeError(f"{job} ended without a frame")
+
+
+def finished(api: httpx.Client, job: str) -> dict[str, Any]:
+    """A job that has succeeded, once it has."""
+    while True:
+        shown = job_document(api, job)
+        if shown["state"] == "succeeded":
+            return shown
+        if shown["state"] not in ("queued", "running"):
+            raise RuntimeError(f"{job} is {shown['state']}: {shown['problem']}")
+        time.sleep(0.1)
+
+
+def wait_until_idle(supervisor: psutil.Process) -> None:
+    """Wait until the service has nothing to do: its next engine process is ready, too."""
+    before = cpu_seconds(supervisor)
+    while True:
+        time.sleep(QUIET_SECONDS)
+        now = cpu_seconds(supervisor)
+        if now - before < QUIET_SHARE * QUIET_SECONDS:
+            return
+        before = now
+
+
+def cpu_seconds(supervisor: psutil.Process) -> float:
+    """CPU time of a service so far [s]."""
+    total = 0.0
+    for process in [supervisor, *supervisor.children(recursive=True)]:
+        try:
+            times = process.cpu_times()
+        except psutil.Error:  # it has ended
+            continue
+        total += times.user + times.system
+    return total

@@ -1,0 +1,105 @@
+"""A spare engine process is ready for the next job, computes one, and never stays behind."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from ctypes.util import find_library
+
+import psutil
+import pytest
+
+from chamfer_morph.schemas import JobState
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
+
+DEVICE = "cpu" if find_library("cuda") else "auto"
+"""A spare process that is still getting ready is taken for `auto`."""
+
+
+@pytest.fixture
+def cluster(new_cluster):
+    """An empty cluster: engine processes know of no database."""
+    return new_cluster("")
+
+
+def spare_of(cluster, worker) -> psutil.Process:
+    """The spare process of a worker, once it is there."""
+    cluster.wait_until(lambda: cluster.spare(worker) is not None, "a spare engine")
+    return cluster.spare(worker)
+
+
+def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
+    """The first takes the spare one, the second the next; the results are as without."""
+    worker = cluster.worker()
+    spare = spare_of(cluster, worker)
+    first = cluster.submit(device=DEVICE)
+    engine = cluster.engine(worker)
+    if DEVICE == "auto":
+        assert engine == spare
+    cluster.require_sound(first, undisturbed, kills=0)
+    cluster.wait_until(lambda: not engine.is_running(), "the used engine to end")
+    following = spare_of(cluster, worker)
+    assert following not in (spare, engine)
+    second = cluster.submit(device=DEVICE)
+    used = cluster.engine(worker)
+    assert used not in (spare, engine)
+    if DEVICE == "auto":
+        assert used == following
+    cluster.require_sound(second, undisturbed, kills=0)
+    assert cluster.storage.job_dir(second).joinpath("log.txt").exists()
+
+
+def test_a_dead_spare_is_replaced(cluster, undisturbed):
+    """A job that comes meanwhile has a process of its own."""
+    worker = cluster.worker()
+    spare = spare_of(cluster, worker)
+    spare.kill()
+    job = cluster.submit(device=DEVICE)
+    cluster.require_sound(job, undisturbed, kills=0)
+    assert spare_of(cluster, worker) != spare
+    assert worker.poll() is None
+
+
+def test_a_killed_job_goes_on_in_another_process(cluster, undisturbed):
+    """As without spare processes, and the cause names the signal."""
+    worker = cluster.worker()
+    spare_of(cluster, worker)
+    job = cluster.submit(device=DEVICE)
+    cluster.wait_for_frame(job, 3)
+    killed = cluster.engine(worker)
+    killed.send_signal(signal.SIGKILL)
+    cluster.require_sound(job, undisturbed)
+    problems = [e.data for e in cluster.storage.events(job).read() if e.type == "problem"]
+    assert ["signal 9" in problem["cause"] for problem in problems] == [True]
+
+
+def test_other_needs_have_a_fresh_process(cluster):
+    """The spare one has started with another precision, and is left for the next job."""
+    worker = cluster.worker()
+    spare = spare_of(cluster, worker)
+    job = cluster.submit(frames=1, precision="float64")
+    assert cluster.engine(worker) != spare
+    cluster.wait_for_state(job, JobState.SUCCEEDED)
+    assert cluster.spare(worker) == spare
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_stays_behind(cluster, number):
+    """Neither a spare process nor that of a job outlives the worker, however it ends."""
+    worker = cluster.worker()
+    spare_of(cluster, worker)
+    job = cluster.submit(device=DEVICE)
+    cluster.wait_for_frame(job, 1)
+    family = [cluster.engine(worker), spare_of(cluster, worker)]
+    worker.send_signal(number)
+    worker.wait(10)
+    cluster.wait_until(lambda: not any(each.is_running() for each in family), "the end of all")
+
+
+def test_none_is_kept_where_none_is_wanted(cluster):
+    """By a setting."""
+    worker = cluster.worker(MORPH_WARM_ENGINES="false")
+    job = cluster.submit(frames=1)
+    cluster.wait_for_state(job, JobState.SUCCEEDED)
+    assert cluster.spare(worker) is None

@@ -1,0 +1,124 @@
+"""An engine process as its worker sees it: started, given a job, followed until its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import IO, Any
+
+import psutil
+
+from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
+from chamfer_morph.worker.job import JobSpec
+from morph_engine.child_process import python_command
+
+
+class Engine:
+    """A process that gets ready, and then computes the one job that it is given.
+
+    Args:
+        threads: CPU threads that it computes with.
+        cell: Edge of the grid cells that its job will probably have [dx].
+        log: Where it writes messages before it has a job; those of this process if not given.
+
+    Attributes:
+        pid: Its process id.
+        outcome: What its job has left, once it is done.
+        problem: Why it has refused its job, if so.
+        cell: Edge of the grid cells that its job has [dx], once it has said so.
+        frames: Frames that it has finished.
+        last_message_at: When it said something last, a time of `time.monotonic`.
+        peak_memory: The most memory that it was seen to use [bytes].
+    """
+
+    def __init__(
+        self, threads: int, *, cell: float | None = None, log: IO[bytes] | None = None
+    ) -> None:
+        self.outcome: Outcome | None = None
+        self.problem: Problem | None = None
+        self.cell: float | None = None
+        self.frames: int = 0
+        self.last_message_at: float = time.monotonic()
+        self.peak_memory: int = 0
+        self._device: str | None = None  # that it has got ready for
+        arguments = [str(threads), *([repr(cell)] if cell else [])]
+        self._process = subprocess.Popen(
+            python_command("chamfer_morph.worker.engine_process", *arguments),
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+            bufsize=0, start_new_session=True,
+        )  # fmt: skip
+        self.pid: int = self._process.pid
+        assert self._process.stdin is not None
+        os.set_blocking(self._process.stdin.fileno(), False)
+        self._reader = threading.Thread(target=self._read_messages, daemon=True)
+        self._reader.start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process is gone."""
+        return self._process.poll() is not None
+
+    def suits(self, spec: JobSpec) -> bool:
+        """Whether what it has got ready for is what a job needs."""
+        return spec.config.precision == "float32" and spec.device in ("auto", self._device)
+
+    def assign(self, job_dir: Path, attempt: int) -> None:
+        """Let it compute a job."""
+        self.last_message_at = time.monotonic()
+        self._send(json.dumps({"job_dir": str(job_dir), "attempt": attempt}).encode() + b"\n")
+
+    def beat(self) -> None:
+        """Tell it that its worker lives, and look how much memory it uses."""
+        self._send(HEARTBEAT)
+        with contextlib.suppress(psutil.Error):
+            memory = int(psutil.Process(self.pid).memory_info().rss)
+            self.peak_memory = max(self.peak_memory, memory)
+
+    def stop(self) -> None:
+        """Ask it to keep its frames and end."""
+        self._send(STOP)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+    def wait(self) -> int:
+        """Wait for its end; returns its exit status, negative for a signal."""
+        self._reader.join()
+        return self._process.wait()
+
+    def _send(self, message: bytes) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):  # it ended just now
+            self._process.stdin.write(message)
+
+    def _read_messages(self) -> None:
+        """Read what it says until it ends."""
+        assert self._process.stdout is not None
+        with self._process.stdout as lines:
+            buffer = b""
+            while read := lines.read(1 << 16):
+                *whole, buffer = (buffer + read).split(b"\n")
+                for line in whole:
+                    with contextlib.suppress(ValueError):  # anything else that was printed
+                        self._receive(json.loads(line))
+
+    def _receive(self, message: dict[str, Any]) -> None:
+        self.last_message_at = time.monotonic()
+        match message["type"]:
+            case "ready":
+                self._device = message["data"]["device"]
+            case "started":
+                self.cell = message["data"]["cell"]
+            case "frame":
+                self.frames += 1
+            case "done":
+                self.outcome = Outcome.model_validate(message["data"])
+            case "failed":
+                self.problem = Problem.model_validate(message["data"])

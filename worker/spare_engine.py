@@ -1,0 +1,65 @@
+"""A spare engine process, so that a job begins with its data and not with imports and kernels."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+
+from chamfer_morph.worker.engine import Engine
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.settings import Settings
+
+PAUSE_SECONDS = 10.0
+"""After a spare process that has died, until the next one."""
+
+log: logging.Logger = logging.getLogger(__name__)
+
+
+class SpareEngine:
+    """An engine process that is ready for the next job of a slot.
+
+    Each computes one job at most. The next is started once the job has a frame, so that it takes
+    nothing from what somebody waits for. Of that job it learns the size of the grid's cells and
+    nothing else: kernels are compiled for each.
+
+    Args:
+        settings: Threads, and whether to keep a spare process at all.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._kept = settings.warm_engines
+        self._threads = threads_per_job(settings)
+        self._lock = threading.Lock()  # one thread keeps it, another takes it
+        self._spare: Engine | None = None
+        self._taken: Engine | None = None  # the last one that was
+        self._start_at = 0.0
+
+    def keep(self) -> None:
+        """Start a process if there is none and it is time; to be called several times a second."""
+        if not self._kept:
+            return
+        with self._lock:
+            if self._spare and self._spare.ended:
+                log.warning("A spare engine process has ended; another one follows.")
+                self._spare, self._start_at = None, time.monotonic() + PAUSE_SECONDS
+            waited_for = self._taken and not self._taken.frames and not self._taken.ended
+            if not self._spare and not waited_for and time.monotonic() >= self._start_at:
+                self._spare = Engine(self._threads, cell=self._taken.cell if self._taken else None)
+
+    def take(self, spec: JobSpec, job_dir: Path) -> Engine:
+        """A process for a job: the spare one where it suits, or else a new one."""
+        with self._lock:
+            if self._spare and not self._spare.ended and self._spare.suits(spec):
+                self._taken, self._spare = self._spare, None
+            else:
+                with (job_dir / "log.txt").open("ab") as messages:
+                    self._taken = Engine(self._threads, log=messages)
+            return self._taken
+
+
+def threads_per_job(settings: Settings) -> int:
+    """CPU threads of a job: as set, or an even share of the cores."""
+    return settings.threads or max(1, (os.cpu_count() or 1) // max(1, settings.workers))
