@@ -46,7 +46,7 @@ class Engine:
         self.frames: int = 0
         self.last_message_at: float = time.monotonic()
         self.peak_memory: int = 0
-        self._device: str | None = None  # that it has got ready for
+        self._device: str | None = None  # once it is ready
         arguments = [str(threads), *([repr(cell)] if cell else [])]
         self._process = subprocess.Popen(
             python_command("chamfer_morph.worker.engine_process", *arguments),
@@ -64,9 +64,10 @@ class Engine:
         """Whether the process is gone."""
         return self._process.poll() is not None
 
-    def suits(self, spec: JobSpec) -> bool:
-        """Whether what it has got ready for is what a job needs."""
-        return spec.config.precision == "float32" and spec.device in ("auto", self._device)
+    def is_ready_for(self, spec: JobSpec) -> bool:
+        """Whether it is ready, and for what a job needs."""
+        fits = spec.config.precision == "float32" and spec.device in ("auto", self._device)
+        return self._device is not None and fits and not self.ended
 
     def assign(self, job_dir: Path, attempt: int) -> None:
         """Let it compute a job."""

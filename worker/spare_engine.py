@@ -50,9 +50,9 @@ class SpareEngine:
                 self._spare = Engine(self._threads, cell=self._taken.cell if self._taken else None)
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
-        """A process for a job: the spare one where it suits, or else a new one."""
+        """A process for a job: the spare one if it is ready for that, or else a new one."""
         with self._lock:
-            if self._spare and not self._spare.ended and self._spare.suits(spec):
+            if self._spare and self._spare.is_ready_for(spec):
                 self._taken, self._spare = self._spare, None
             else:
                 with (job_dir / "log.txt").open("ab") as messages:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from morph_engine import kept_results
 from morph_engine.errors import MeshError, unknown_name
 from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
 from morph_engine.geometry.sampling import fit_to_domain
@@ -40,13 +41,17 @@ def make(name: str) -> Mesh:
         MeshError: There is no such shape, or a text that cannot be drawn.
     """
     if name.startswith(TEXT_PREFIX):
-        raw = _text(name.removeprefix(TEXT_PREFIX))
+        raw = _arrays(_text(name.removeprefix(TEXT_PREFIX)))
     elif name in _SHAPES:
-        raw = _SHAPES[name]()
+        raw = kept_results.kept("shape", (name,), lambda: _arrays(_SHAPES[name]()))
     else:
         raise unknown_name("built-in shape", name, names(), error=MeshError)
-    mesh = make_mesh(raw.vertices, raw.faces, name=name)
+    mesh = make_mesh(raw["vertices"], raw["faces"], name=name)
     return fit_to_domain(mesh, mode="volume")[0]
+
+
+def _arrays(mesh: Mesh) -> kept_results.Arrays:
+    return {"vertices": mesh.vertices, "faces": mesh.faces}
 
 
 def resolve_shape(spec: str) -> Mesh:

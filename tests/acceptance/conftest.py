@@ -71,7 +71,6 @@ class Cluster:
         owner: str = "",
         timeout: float = 300,
         priority: int = 100,
-        device: str = "cpu",
         precision: str = "float32",
     ) -> str:
         """Queue a small job whose frames take a while."""
@@ -81,7 +80,7 @@ class Cluster:
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),
             config=config,
-            device=device,
+            device="cpu",
             timeout_seconds=timeout,
         )
         job_id = new_id()

@@ -136,9 +136,9 @@ def test_poison(cluster):
     job = cluster.submit()
     deadline = time.monotonic() + 60
     while not cluster.job(job).state.finished and time.monotonic() < deadline:
-        for child in psutil.Process(worker.pid).children():
-            if "chamfer_morph.worker.engine_process" in child.cmdline():
-                child.kill()
+        for engine in cluster.engines(worker):
+            with suppress(psutil.Error):  # it has ended
+                engine.kill()
         time.sleep(0.05)
     record = cluster.job(job)
     assert record.state is JobState.FAILED

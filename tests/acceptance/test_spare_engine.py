@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from ctypes.util import find_library
+import time
 
 import psutil
 import pytest
@@ -13,8 +13,8 @@ from chamfer_morph.schemas import JobState
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
-DEVICE = "cpu" if find_library("cuda") else "auto"
-"""A spare process that is still getting ready is taken for `auto`."""
+READY_SECONDS = 1.0
+"""A spare process that has slept for so long waits for a job."""
 
 
 @pytest.fixture
@@ -24,28 +24,33 @@ def cluster(new_cluster):
 
 
 def spare_of(cluster, worker) -> psutil.Process:
-    """The spare process of a worker, once it is there."""
+    """The spare process of a worker, once it is ready."""
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "a spare engine")
-    return cluster.spare(worker)
+    spare, awake = cluster.spare(worker), time.monotonic()
+
+    def is_ready() -> bool:
+        nonlocal awake
+        if spare.status() != psutil.STATUS_SLEEPING:
+            awake = time.monotonic()
+        return time.monotonic() - awake > READY_SECONDS
+
+    cluster.wait_until(is_ready, "the spare engine to be ready", 180)
+    return spare
 
 
 def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
     """The first takes the spare one, the second the next; the results are as without."""
     worker = cluster.worker()
     spare = spare_of(cluster, worker)
-    first = cluster.submit(device=DEVICE)
+    first = cluster.submit()
     engine = cluster.engine(worker)
-    if DEVICE == "auto":
-        assert engine == spare
+    assert engine == spare
     cluster.require_sound(first, undisturbed, kills=0)
     cluster.wait_until(lambda: not engine.is_running(), "the used engine to end")
     following = spare_of(cluster, worker)
-    assert following not in (spare, engine)
-    second = cluster.submit(device=DEVICE)
-    used = cluster.engine(worker)
-    assert used not in (spare, engine)
-    if DEVICE == "auto":
-        assert used == following
+    assert following != engine
+    second = cluster.submit()
+    assert cluster.engine(worker) == following
     cluster.require_sound(second, undisturbed, kills=0)
     assert cluster.storage.job_dir(second).joinpath("log.txt").exists()
 
@@ -55,9 +60,9 @@ def test_a_dead_spare_is_replaced(cluster, undisturbed):
     worker = cluster.worker()
     spare = spare_of(cluster, worker)
     spare.kill()
-    job = cluster.submit(device=DEVICE)
+    job = cluster.submit()
     cluster.require_sound(job, undisturbed, kills=0)
-    assert spare_of(cluster, worker) != spare
+    cluster.wait_until(lambda: cluster.spare(worker) not in (None, spare), "another spare")
     assert worker.poll() is None
 
 
@@ -65,7 +70,7 @@ def test_a_killed_job_goes_on_in_another_process(cluster, undisturbed):
     """As without spare processes, and the cause names the signal."""
     worker = cluster.worker()
     spare_of(cluster, worker)
-    job = cluster.submit(device=DEVICE)
+    job = cluster.submit()
     cluster.wait_for_frame(job, 3)
     killed = cluster.engine(worker)
     killed.send_signal(signal.SIGKILL)
@@ -89,9 +94,10 @@ def test_nothing_stays_behind(cluster, number):
     """Neither a spare process nor that of a job outlives the worker, however it ends."""
     worker = cluster.worker()
     spare_of(cluster, worker)
-    job = cluster.submit(device=DEVICE)
+    job = cluster.submit()
     cluster.wait_for_frame(job, 1)
-    family = [cluster.engine(worker), spare_of(cluster, worker)]
+    cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
+    family = [cluster.engine(worker), cluster.spare(worker)]
     worker.send_signal(number)
     worker.wait(10)
     cluster.wait_until(lambda: not any(each.is_running() for each in family), "the end of all")
