@@ -70,7 +70,8 @@ def spread(
 
 def first_frame(api: httpx.Client, job: str) -> float:
     """When a watcher hears of the first frame of a job [s since 1970]."""
-    with api.stream("GET", f"/v1/jobs/{job}/events") as stream:
+    headers = {"Accept": "text/event-stream"}
+    with api.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as stream:
         stream.raise_for_status()
         for line in stream.iter_lines():
             if line.startswith("data:"):
