@@ -1,3 +1,4 @@
+from .bodies_ahead import BodiesAhead as BodiesAhead
 from .body import Body as Body
 from .body import BodyPath as BodyPath
 from .body import fine_axis as fine_axis

@@ -97,6 +97,7 @@ class BodyPath:
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
         self._grid = grid
         self._matter = matter
+        self.carried: bool = warp is not None
         self._box: Box
         self._blended: Callable[[float], Field]
         if warp:

@@ -166,12 +166,12 @@ class Settling:
 
 def _threshold(lengths: NDArray[np.float64], most: float) -> float:
     """What to take off all lengths, none of which gets negative, so that their mean is `most`."""
-    descending = -np.sort(-lengths)
+    descending = np.append(-np.sort(-lengths[lengths > 0]), 0.0)
     total = np.cumsum(descending)
-    count = np.arange(1, len(lengths) + 1)
+    count = np.arange(1, len(descending) + 1)
     enough = np.flatnonzero(total - count * descending > most * len(lengths))
-    if not len(enough):  # at the last of them nothing is taken off yet
-        return max(0.0, float(total[-1] / len(lengths) - most))
+    if not len(enough):
+        return 0.0
     last = enough[0] - 1
     return float((total[last] - most * len(lengths)) / count[last])
 

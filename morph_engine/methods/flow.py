@@ -169,6 +169,7 @@ class Flow(MpmMethod[FlowOptions]):
             tension=self._tension,
             warp=self._warp,
         )
+        self._bodies = flow.BodiesAhead(self._path)
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
         self._levels = [device.scalars(len(axis) ** 3) for _ in range(2)]
@@ -329,15 +330,15 @@ class Flow(MpmMethod[FlowOptions]):
     def _load_bodies(self, frame: int, share: float, next_share: float) -> None:
         """Bring the body before and after the frame to the device."""
         if self._body_frame != frame:
-            self._upload_body(0, share)
+            self._upload_body(0, share, next_share)
         else:
             self._levels.reverse()
             self._masses.reverse()
-        self._upload_body(1, next_share)
+        self._upload_body(1, next_share, self._share(frame + 2))
         self._body_frame = frame + 1
 
-    def _upload_body(self, slot: int, share: float) -> None:
-        body = self._path.at(share)
+    def _upload_body(self, slot: int, share: float, following: float) -> None:
+        body = self._bodies.at(share, following)
         real = self.device.numpy_real
         self._levels[slot].from_numpy(body.level.ravel().astype(real))
         self._masses[slot].from_numpy(body.mass.ravel().astype(real))

@@ -10,6 +10,7 @@ import scipy
 
 from morph_engine.geometry.point_cloud import (
     distance_to_other,
+    distinct_points,
     finite_points,
     target_points,
 )
@@ -62,7 +63,7 @@ def chamfer_metrics(
     if count == 0:
         return _worst() | escaped
 
-    distinct, copies = np.unique(points, axis=0, return_counts=True)
+    distinct, copies = distinct_points(points)
     tree = scipy.spatial.cKDTree(distinct)
 
     if d_fwd is None or nearest_fwd is None:
