@@ -1,6 +1,6 @@
 """The end of a morph against the target's mesh itself, which no method has been given points of.
 
-Random points and a lattice of random offset stand for the volume, so that a method whose
+Random points and a lattice of random offset and turn stand for the volume, so that a method whose
 destinations come from the target's lattice has no advantage.
 """
 
@@ -39,7 +39,7 @@ class Reference:
 
     Attributes:
         points: Random points of the volume [dx], shape [count or a few more, 3].
-        lattice: Points of a lattice of random offset in it [dx], about as many.
+        lattice: Points of a lattice of random offset and turn in it [dx], about as many.
         volume: Of the mesh, by the random points [dx^3].
     """
 
@@ -181,15 +181,18 @@ def _random_points(
 
 
 def _lattice(mesh: Mesh, step: float, rng: np.random.Generator) -> tuple[Points, Points]:
-    """A lattice of random offset in a mesh, and how much of it is within dx of each point.
+    """A lattice of random offset and turn in a mesh, and how much of it is within dx of each point.
 
-    Of a point at the rim of the ball counts the part of its cell that the ball has, so that inside
-    the mesh it is the ball's volume in cells.
+    It is turned so that a flat face of the mesh does not take or leave a whole layer. Of a point at
+    the rim of the ball counts the part of its cell that the ball has, so that inside the mesh it is
+    the ball's volume in cells.
     """
-    lower, upper = mesh.bounds
+    turn = scipy.spatial.transform.Rotation.random(random_state=rng).as_matrix()
+    turned = mesh.vertices @ turn
+    lower, upper = turned.min(axis=0), turned.max(axis=0)
     first = lower - rng.random(3) * step
     axes = [np.arange(a, b + step, step) for a, b in zip(first, upper, strict=True)]
-    box = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    box = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) @ turn.T
     kept = inside(mesh, box.reshape(-1, 3)).reshape(box.shape[:3])
     within: Points = scipy.signal.fftconvolve(kept.astype(float), _ball(step), mode="same")
     return box[kept], within[kept]

@@ -91,7 +91,7 @@ HEADLINE = _extension(
         "t→s and s→t are root mean squares over random points of the target's volume; t→s has the "
         "floor of as many particles on a cubic lattice, s→t that of particles at random places "
         "inside the target. IoU is that of the particles' body, offset to the mesh's volume; "
-        "density is taken over a lattice of random offset.",
+        "density is taken over a lattice of random offset and turn.",
     ),
 )  # fmt: skip
 

@@ -27,7 +27,7 @@ SEEDS = (1, 2)
 POINTS = 100_000
 """Random points of the volume; points of the lattice are about as many."""
 
-SURFACE_POINTS = 40_000
+SURFACE_POINTS = 150_000
 """Random points of either surface."""
 
 
