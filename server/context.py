@@ -65,7 +65,9 @@ class ServerContext:
         self.quotas: Quotas = Quotas(
             settings, self.storage, self.queue, self.meshes, self.job_sizes
         )
-        self.event_hub: EventHub = EventHub(self.queue, self.storage, settings.watchers)
+        self.event_hub: EventHub = EventHub(
+            self.queue, self.storage, settings.watchers, settings.watchers_per_key
+        )
         self.sandbox: Sandbox = Sandbox(settings, self.storage)
         self.inspections: SingleFlight[dict[str, Any]] = SingleFlight(CapacityLimiter(INSPECTIONS))
         self.previews: SingleFlight[SampledShape] = SingleFlight(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import AsyncIterator
 from datetime import datetime, timezone
 from operator import itemgetter
@@ -104,10 +105,12 @@ class JobFeed:
 class EventHub:
     """All event streams."""
 
-    def __init__(self, queue: JobQueue, storage: Storage, limit: int) -> None:
+    def __init__(self, queue: JobQueue, storage: Storage, limit: int, limit_per_key: int) -> None:
         self._queue = queue
         self._storage = storage
         self._limit = limit
+        self._limit_per_key = limit_per_key
+        self._of_key: Counter[str] = Counter()
         self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
         self._thread = anyio.CapacityLimiter(1)
@@ -118,22 +121,26 @@ class EventHub:
         """Subscribers at this moment."""
         return sum(feed.subscribers for feed in self._feeds.values())
 
-    def check_capacity(self) -> None:
-        """Refuse one subscriber too many.
+    def check_capacity(self, key: str) -> None:
+        """Refuse one subscriber too many, of all or of a key.
 
         Raises:
             ProblemError: 429.
         """
-        if self.subscribers >= self._limit:
+        if self.subscribers >= self._limit or self._of_key[key] >= self._limit_per_key:
+            mine = self.subscribers < self._limit
             raise ProblemError(
                 429,
-                f"{self._limit} event streams are open already.",
+                f"{self._limit_per_key} event streams of this key are open already."
+                if mine
+                else f"{self._limit} event streams are open already.",
                 "Ask for the events without Accept: text/event-stream, every few seconds.",
                 headers={"Retry-After": "10"},
             )
 
-    async def stream(self, job_id: str, after: int) -> AsyncIterator[bytes]:
-        """The events of a job as server-sent events, until it rests."""
+    async def stream(self, job_id: str, after: int, key: str) -> AsyncIterator[bytes]:
+        """The events of a job as server-sent events for a key, until it rests."""
+        self._of_key[key] += 1
         feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
         feed.subscribers += 1
         if self._task is None or self._task.done():
@@ -142,6 +149,7 @@ class EventHub:
             async for encoded in feed.events(after, self.closing):
                 yield encoded
         finally:
+            self._of_key[key] -= 1
             feed.subscribers -= 1
             if not feed.subscribers:
                 self._feeds.pop(job_id, None)

@@ -84,6 +84,7 @@ def run_slot(settings: Settings, executor: str) -> None:
 
     queue = JobQueue(settings)
     queue.migrate()
+    queue.close()
     lock = wait_for_lock(settings, executor, LOCK_TIMEOUT_SECONDS)
     if lock is None:
         sys.exit(f"Another worker runs as {executor}. Choose another --slot.")

@@ -18,6 +18,7 @@ from typing import Any
 import psycopg
 import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
+from dbos._dbos import _get_or_create_dbos_registry
 from dbos._serialization import DefaultSerializer
 
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -37,6 +38,8 @@ COLUMNS = frozenset(
     }
 )  # fmt: skip
 """What the queue uses of the table."""
+
+INTERNAL_QUEUE_SECONDS = 60.0
 
 SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
 """How DBOS stores what is not stored in the portable format anyway."""
@@ -126,25 +129,38 @@ def migrate(settings: Settings) -> None:
     DBOS.migrate(settings.system_database_url)
 
 
-def database(settings: Settings, *, autocommit: bool = False) -> sa.Engine:
+def database(settings: Settings, *, autocommit: bool = False, kept: int = CONNECTIONS) -> sa.Engine:
     """An engine for the database of the queue.
 
     Args:
         settings: Which database.
         autocommit: Spare Postgres the round trips that begin and end a transaction and ask first
             whether the connection lives: they cost more than the query itself.
+        kept: Connections to Postgres that stay open. Workers are many, wait for most of their time,
+            and share those that Postgres allows.
     """
     url = sa.make_url(settings.system_database_url)
     if settings.on_postgres:
         url = url.set(drivername="postgresql+psycopg")
         if autocommit:
             return sa.create_engine(url, isolation_level="AUTOCOMMIT", pool_size=CONNECTIONS)
-        return sa.create_engine(url, pool_pre_ping=True, pool_size=CONNECTIONS)
+        return sa.create_engine(
+            url,
+            pool_pre_ping=kept > 1,  # a transaction more; the only one is in use all the time
+            pool_size=kept,
+            max_overflow=2 * CONNECTIONS - kept,
+        )
     engine = sa.create_engine(
         url, connect_args={"timeout": 60, "check_same_thread": False}, pool_size=CONNECTIONS
     )
     sa.event.listen(engine, "connect", _prepare_sqlite)
     return engine
+
+
+def let_internal_queue_rest() -> None:
+    """Look seldom into DBOS's own queue, of which nothing is used here: it asks every second."""
+    queue = _get_or_create_dbos_registry().get_internal_queue()
+    queue._polling_interval_sec = INTERNAL_QUEUE_SECONDS
 
 
 def check_reachable(settings: Settings) -> None:

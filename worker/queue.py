@@ -129,7 +129,7 @@ class JobQueue:
         self._client.register_queue(
             QUEUE,
             worker_concurrency=1,
-            polling_interval_sec=self._settings.poll_seconds,
+            polling_interval_sec=self._settings.queue_poll_seconds,
         )
 
     def enqueue(

@@ -46,7 +46,10 @@ class Settings(BaseSettings):
         "takes some 450 MB.",
     )
     poll_seconds: float = Field(
-        0.25, gt=0, description="How often an idle worker looks for a job [s]."
+        0,
+        ge=0,
+        description="How often an idle worker looks for a job; 0: every 0.25 s on SQLite, and "
+        "every 2 s on Postgres, which many workers ask [s].",
     )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
@@ -86,11 +89,17 @@ class Settings(BaseSettings):
         0, ge=0, description="Oldest finished jobs are deleted beyond this size; 0 never [bytes]."
     )
     watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
+    watchers_per_key: int = Field(200, gt=0, description="Event streams of one key among them.")
 
     @property
     def system_database_url(self) -> str:
         """The database in use, as SQLAlchemy spells it."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'morph.sqlite'}"
+
+    @property
+    def queue_poll_seconds(self) -> float:
+        """How often an idle worker looks for a job [s]."""
+        return self.poll_seconds or (2.0 if self.on_postgres else 0.25)
 
     @property
     def on_postgres(self) -> bool:

@@ -15,7 +15,12 @@ from dbos import error as dbos_error
 from chamfer_morph.schemas import Problem
 from chamfer_morph.worker import queue
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
-from chamfer_morph.worker.dbos_adapter import SERIALIZER, database, end_when_disk_is_full
+from chamfer_morph.worker.dbos_adapter import (
+    SERIALIZER,
+    database,
+    end_when_disk_is_full,
+    let_internal_queue_rest,
+)
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
@@ -42,7 +47,7 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
     """
     global _settings, _executor, _spare
     _settings, _executor, _spare = settings, executor, spare
-    engine = database(settings)
+    engine = database(settings, kept=1)
     end_when_disk_is_full(engine)
     config: DBOSConfig = {
         "name": queue.APPLICATION,
@@ -51,11 +56,13 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
         "executor_id": executor,
         "application_version": queue.APPLICATION_VERSION,
         "run_migrations": False,
+        "use_listen_notify": False,  # nobody waits for what it would tell, on a connection more
         "serializer": SERIALIZER,
         "log_level": "WARNING",
         "max_executor_threads": 8,
     }
     DBOS(config=config)
+    let_internal_queue_rest()
     logging.getLogger("dbos").addFilter(_is_unexpected)
     DBOS.listen_queues([queue.QUEUE] if listen else [])
     DBOS.launch()

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
 from chamfer_morph.schemas import EventPage
-from chamfer_morph.server.auth import AuthenticatedRoute
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
@@ -37,6 +37,7 @@ LARGEST_ID = 2**53
 async def get_events(
     job: VisibleJob,
     request: Request,
+    caller: Reader,
     context: Context,
     after: Annotated[
         int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")
@@ -55,9 +56,9 @@ async def get_events(
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
     if accepts_stream(request.headers.get("accept", "")):
-        context.event_hub.check_capacity()
+        context.event_hub.check_capacity(caller.name)
         return EventSourceResponse(
-            context.event_hub.stream(job.id, after),
+            context.event_hub.stream(job.id, after, caller.name),
             headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
         )
     return await anyio.to_thread.run_sync(_page, job, after, limit, context)

@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 
 from chamfer_morph.server.event_hub import BATCH
-from tests.integration.api.conftest import Api
+from tests.integration.api.conftest import MORPH, Api
 
 STREAM = {"Accept": "text/event-stream"}
 
@@ -129,6 +129,26 @@ def test_too_many_watchers_are_told_to_poll(make_api: Callable[..., Api]) -> Non
         refused = api.http.get(path, headers=STREAM)
         assert refused.status_code == 429 and "Retry-After" in refused.headers
         assert api.http.get(path).status_code == 200
+
+
+def test_a_key_has_its_share_of_the_streams(make_api: Callable[..., Api]) -> None:
+    """Whoever follows too much is refused; another key is not, nor the same one afterwards."""
+    api = make_api(watchers_per_key=1)
+    headers = {}
+    for name in ("root", "ann"):
+        body = {"name": name, "scopes": ["admin"]}
+        made = api.http.post("/v1/keys", json=body, headers=headers.get("root"))
+        headers[name] = {"Authorization": f"Bearer {made.json()['secret']}"}
+    job = api.http.post("/v1/jobs", json=MORPH, headers=headers["root"]).json()["id"]
+    path = f"/v1/jobs/{job}/events"
+    with api.http.stream("GET", path, headers=STREAM | headers["root"]):
+        _wait(lambda: api.context.event_hub.subscribers == 1)
+        assert api.http.get(path, headers=STREAM | headers["root"]).status_code == 429
+        with api.http.stream("GET", path, headers=STREAM | headers["ann"]) as other:
+            assert other.status_code == 200
+    _wait(lambda: api.context.event_hub.subscribers == 0)
+    with api.http.stream("GET", path, headers=STREAM | headers["root"]) as again:
+        assert again.status_code == 200
 
 
 def _wait(condition: Callable[[], bool], seconds: float = 10) -> None:
