@@ -255,6 +255,14 @@ class JobQueue:
             counts[job_state(status, late=bool(late))] += count
         return counts
 
+    def waiting_since(self) -> datetime | None:
+        """When the job that waits longest came into the queue; None where none waits."""
+        c = self._table.c
+        query = self._select(sa.func.min(c.updated_at)).where(
+            self._in_flight, c.status == _ENQUEUED
+        )
+        return _time(self._rows(query)[0][0])
+
     def unfinished(self, owner: str) -> int:
         """Number of jobs of an owner that are queued or running."""
         query = self._select(sa.func.count()).where(self._in_flight, self._and_owned_by(owner))

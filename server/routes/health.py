@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from typing import Literal
 
@@ -45,6 +46,16 @@ class Metrics:
             "morph_requests_open", "Requests under way.", registry=self.registry
         )
         self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
+        self.queue_age: Gauge = Gauge(
+            "morph_queue_age_seconds",
+            "Age of the job that waits longest [s].",
+            registry=self.registry,
+        )
+        self.disk_free: Gauge = Gauge(
+            "morph_disk_free_bytes",
+            "Room left for the data directory [bytes].",
+            registry=self.registry,
+        )
         self.streams: Gauge = Gauge(
             "morph_event_streams", "Open event streams.", registry=self.registry
         )
@@ -118,6 +129,9 @@ def metrics(request: Request, context: Context) -> Response:
     metrics: Metrics = request.app.state.metrics
     for state, count in context.queue.counts().items():
         metrics.jobs.labels(state.value).set(count)
+    since = context.queue.waiting_since()
+    metrics.queue_age.set(max(time.time() - since.timestamp(), 0) if since else 0)
+    metrics.disk_free.set(shutil.disk_usage(context.storage.root).free)
     metrics.streams.set(context.event_hub.subscribers)
     return Response(
         generate_latest(metrics.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}

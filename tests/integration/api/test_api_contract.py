@@ -101,10 +101,15 @@ def test_every_error_has_one_shape(api: Api, method: str, path: str) -> None:
 
 def test_health_and_figures(api: Api) -> None:
     """Alive, ready, and what Prometheus reads."""
+    assert "morph_queue_age_seconds 0.0" in api.http.get("/metrics").text
     api.submit()
+    time.sleep(0.01)
     assert api.http.get("/livez").json() == api.http.get("/readyz").json() == {"status": "ok"}
     figures = api.http.get("/metrics").text
     assert 'morph_jobs{state="queued"} 1.0' in figures
+    values = dict(line.rsplit(" ", 1) for line in figures.splitlines() if line[0] != "#")
+    assert float(values["morph_queue_age_seconds"]) > 0
+    assert float(values["morph_disk_free_bytes"]) > 0
     assert 'morph_requests_total{operation="submitJob",status="202"} 1.0' in figures
 
 
