@@ -103,10 +103,12 @@ def run_slot(settings: Settings, executor: str) -> None:
         if time.monotonic() - last_check > LOCK_CHECK_SECONDS:
             last_check = time.monotonic()
             if not lock.held():
+                spare.end()
                 os._exit(1)  # somebody else may take its jobs: stop at once
         if paused and not slots.is_paused(settings.data_dir, executor):
             os._exit(ExitCode.PAUSED)  # start again, unpaused
-    os._exit(0)  # its engine processes end with it
+    spare.end()
+    os._exit(0)  # the engine process of its job ends with it
 
 
 if __name__ == "__main__":

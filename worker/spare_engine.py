@@ -59,6 +59,12 @@ class SpareEngine:
                     self._taken = Engine(self._threads, log=messages)
             return self._taken
 
+    def end(self) -> None:
+        """End the spare process at once, which it does by itself soon after this one ends."""
+        with self._lock:
+            if self._spare:
+                self._spare.kill()
+
 
 def threads_per_job(settings: Settings) -> int:
     """CPU threads of a job: as set, or an even share of the cores."""

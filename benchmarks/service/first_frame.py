@@ -21,7 +21,12 @@ from benchmarks.service.measurement import Measurement
 from chamfer_morph.worker.storage import Storage
 
 JOBS = 10
-FRAMES = 40
+REQUEST = {"source": {"shape": "sphere"}, "target": {"shape": "star"}}
+"""A job with default settings; it has 40 frames."""
+
+WHOLE = (-1, 0, 2, 4)
+"""Turns in which a job may end; the first one's process stores the kernels that it compiled."""
+
 QUIET_SECONDS = 2.0
 QUIET_SHARE = 0.1
 """Of a core, that an idle service takes at most."""
@@ -36,25 +41,20 @@ def measure(service: LocalService) -> list[Measurement]:
             if turn % 2:
                 kept = Storage(service.data_dir).kept_results
                 shutil.rmtree(kept, ignore_errors=True)
-            frames = FRAMES if turn in (0, 2, 4) else 2
             submitted = time.time()
-            job = submit(api, request(frames))
+            job = submit(api, REQUEST)
             first = first_frame(api, job) - submitted
-            shown = finished(api, job)
             if turn >= 0:  # kernels were compiled before
                 (new if turn % 2 else known).append(first)
-            if frames == FRAMES:
-                whole.append(seconds(shown["finished_at"]) - submitted)
+            if turn in WHOLE:
+                whole.append(seconds(finished(api, job)["finished_at"]) - submitted)
+            else:
+                api.post(f"/v1/jobs/{job}/cancel").raise_for_status()
     return [
         *spread("submit to first frame, known shapes", known, (0.8, 1.2)),
         *spread("submit to first frame, new shapes", new, (None, None)),
         Measurement("submit to the end, 40 frames", median(whole), 6.0, "s", f"{len(whole)} times"),
     ]
-
-
-def request(frames: int) -> dict[str, Any]:
-    """A job with default settings."""
-    return {"source": {"shape": "sphere"}, "target": {"shape": "star"}, "frames": frames}
 
 
 def spread(
