@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from contextlib import suppress
 from statistics import median, quantiles
 from typing import Any
 
@@ -27,9 +28,8 @@ REQUEST = {"source": {"shape": "sphere"}, "target": {"shape": "star"}}
 WHOLE = (-1, 0, 2, 4)
 """Turns in which a job may end; the first one's process stores the kernels that it compiled."""
 
-QUIET_SECONDS = 2.0
-QUIET_SHARE = 0.1
-"""Of a core, that an idle service takes at most."""
+QUIET_SECONDS = 1.5
+"""An engine process that has slept for so long waits for a job."""
 
 
 def measure(service: LocalService) -> list[Measurement]:
@@ -47,7 +47,8 @@ def measure(service: LocalService) -> list[Measurement]:
             if turn >= 0:  # kernels were compiled before
                 (new if turn % 2 else known).append(first)
             if turn in WHOLE:
-                whole.append(seconds(finished(api, job)["finished_at"]) - submitted)
+                end = seconds(finished(api, job)["finished_at"]) - submitted
+                whole += [end] if turn >= 0 else []
             else:
                 api.post(f"/v1/jobs/{job}/cancel").raise_for_status()
     return [
@@ -94,22 +95,19 @@ def finished(api: httpx.Client, job: str) -> dict[str, Any]:
 
 def wait_until_idle(supervisor: psutil.Process) -> None:
     """Wait until the service has nothing to do: its next engine process is ready, too."""
-    before = cpu_seconds(supervisor)
-    while True:
-        time.sleep(QUIET_SECONDS)
-        now = cpu_seconds(supervisor)
-        if now - before < QUIET_SHARE * QUIET_SECONDS:
-            return
-        before = now
+    busy = time.monotonic()
+    while time.monotonic() - busy < QUIET_SECONDS:
+        time.sleep(0.05)
+        states = engine_states(supervisor)
+        if len(states) != 1 or states[0] != psutil.STATUS_SLEEPING:
+            busy = time.monotonic()
 
 
-def cpu_seconds(supervisor: psutil.Process) -> float:
-    """CPU time of a service so far [s]."""
-    total = 0.0
-    for process in [supervisor, *supervisor.children(recursive=True)]:
-        try:
-            times = process.cpu_times()
-        except psutil.Error:  # it has ended
-            continue
-        total += times.user + times.system
-    return total
+def engine_states(supervisor: psutil.Process) -> list[str]:
+    """What the engine processes of a service do: run, sleep and so on."""
+    states = []
+    for process in supervisor.children(recursive=True):
+        with suppress(psutil.Error):  # it has ended
+            if "chamfer_morph.worker.engine_process" in process.cmdline():
+                states.append(process.status())
+    return states
