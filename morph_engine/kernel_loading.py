@@ -15,7 +15,7 @@ from typing import Any
 
 
 def shorten() -> None:
-    """Take the shorter ways, where Taichi is as expected; kernels and their cache stay the same."""
+    """Use shorter code where Taichi is as expected; kernels and their cache stay the same."""
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 

@@ -263,6 +263,13 @@ def finish(
 
 
 @ti.kernel
+def clear(nodes: ti.types.ndarray()):
+    """Take velocity and mass from all nodes."""
+    for i in range(nodes.shape[0]):
+        nodes[i] = ti.Vector.zero(float, 4)
+
+
+@ti.kernel
 def calm(nodes: ti.types.ndarray(), least_mass: float, limit: float):
     """Limit the speed [dx/s] of nodes that hold less than this."""
     for i in range(nodes.shape[0]):

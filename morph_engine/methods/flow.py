@@ -377,7 +377,7 @@ class Flow(MpmMethod[FlowOptions]):
                 depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt, self._grid,
             )  # fmt: skip
             nodes = simulation.transitions[0].nodes
-            nodes.fill(0)
+            flow.clear(nodes)
             simulation.to_nodes()
             before, after = self._wanted
             self._projection.project(nodes, before, after, simulation.dt, gain=gain)

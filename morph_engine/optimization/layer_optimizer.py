@@ -53,7 +53,7 @@ class LayerOptimizer:
     def reset(self) -> None:
         """Zero control and moments, as at the start of a frame."""
         for array in self._states[self._committed]:
-            array.fill(0)
+            _clear(array)
 
     def try_step(self, gradient: Any, norm: float, step: float, count: int) -> Any:
         """A trial control, shape [n, 3, 3], by a step along the control gradient over its norm.
@@ -82,6 +82,12 @@ def _square_sums(matrices: ti.types.ndarray(), sums: ti.types.ndarray()):
             for p in range(lane * chunk, ti.min((lane + 1) * chunk, matrices.shape[0])):
                 total += matrices[p].norm_sqr()
             sums[lane] = total
+
+
+@ti.kernel
+def _clear(matrices: ti.types.ndarray()):
+    for p in range(matrices.shape[0]):
+        matrices[p] = ti.Matrix.zero(float, 3, 3)
 
 
 @ti.kernel
