@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
+from typing import Any
 
 from morph_engine import backend
 from morph_engine.code_digest import code_digest
@@ -19,7 +20,7 @@ LIBRARIES = (
 )  # fmt: skip
 """Libraries that the engine imports when it first needs them."""
 
-SMALL = {"sampling.points_per_cell_edge": 1, "frames": 1, "like_parts": "off"}
+SMALL: dict[str, Any] = {"sampling.points_per_cell_edge": 1, "frames": 1, "like_parts": "off"}
 """A run of 1400 particles calls the kernels of a large one."""
 
 

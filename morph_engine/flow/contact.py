@@ -135,7 +135,7 @@ class Settling:
     def __init__(self, count: int, grid: Grid, spacing: float) -> None:
         self.spacing: float = spacing
         self.grid: Grid = grid
-        self.cells = CellList(count, grid, spacing)
+        self.cells: CellList = CellList(count, grid, spacing)
         self._move = backend.active().vectors(count)
 
     def settle(

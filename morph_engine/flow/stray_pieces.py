@@ -16,7 +16,7 @@ from morph_engine.flow.cell_list import CellList, cell_of
 from morph_engine.metrics.body import piece_sizes
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
-LINK = 2 * COVERING_RADIUS_OVER_H
+LINK: float = 2 * COVERING_RADIUS_OVER_H
 """Particles closer than this are linked [h]."""
 
 REJOINED = 1.6

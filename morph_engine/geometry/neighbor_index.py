@@ -28,7 +28,7 @@ SLACK = 1.0 + 1e-5  # a box is left out only beyond this, so that rounding never
 TINY = 1e-30  # keeps the search radius around a perfect match open
 REACH_BITS = int(np.float32(REACH).view(np.int32))
 
-TreeArrays = ti.types.argpack(
+TreeArrays: Any = ti.types.argpack(
     **dict.fromkeys(("leaf_of", "order", "leaf_points", "lower", "upper"), ti.types.ndarray())
 )
 """Where each point lies, the points leaf by leaf, and the boxes of the nodes."""

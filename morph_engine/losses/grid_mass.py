@@ -36,7 +36,7 @@ class GridMass:
     def __init__(self, point_count: int, point_mass: float, grid: Grid) -> None:
         self.point_count = point_count
         self.point_mass = point_mass
-        self.grid = replace(grid, leaky=True)
+        self.grid: Grid = replace(grid, leaky=True)
         self._private = PrivateGrids(grid, values=1)
         self.nodes: Any = backend.active().scalars(grid.node_count)
 

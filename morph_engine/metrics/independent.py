@@ -47,12 +47,13 @@ class Reference:
         self._rng = np.random.default_rng(seed)
         self._bounds = mesh.bounds
         self._samples, self._wanted = _random_points(mesh, count, self._rng)
-        self.points = self._samples[self._wanted]
-        self.volume = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
+        self.points: Points = self._samples[self._wanted]
+        self.volume: float = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
         self._tree = scipy.spatial.cKDTree(self.points)
         more = (_random_points(mesh, count, self._rng) for _ in range(sets - 1))
         self._sets = [self._tree, *(scipy.spatial.cKDTree(of[wanted]) for of, wanted in more)]
         step = float(np.cbrt(self.volume / count))
+        self.lattice: Points
         self.lattice, self._even = _lattice(mesh, step, self._rng)
 
     @cached_property

@@ -1,5 +1,7 @@
 """Grid to particles (G2P): velocity and the particles' update; the adjoint directly below."""
 
+from typing import Any
+
 import taichi as ti
 
 from morph_engine.mpm import b_spline, stencil
@@ -9,11 +11,11 @@ from morph_engine.mpm.grid import base_and_offset, flat_index, presence, row_ind
 from morph_engine.mpm.particles_to_grid import join
 
 # Only what the kernel works on: see `ParticlesToGridArrays`.
-GridToParticlesArrays = ti.types.argpack(
+GridToParticlesArrays: Any = ti.types.argpack(
     **dict.fromkeys(("x", "F", "U", "nodes"), ti.types.ndarray()),
     **dict.fromkeys(("x_next", "v_next", "C_next", "F_next"), ti.types.ndarray()),
 )
-GridToParticlesAdjointArrays = ti.types.argpack(
+GridToParticlesAdjointArrays: Any = ti.types.argpack(
     **dict.fromkeys(("x", "v", "C", "F", "U", "R", "volume"), ti.types.ndarray()),
     **dict.fromkeys(("v_next", "C_next", "nodes_bar"), ti.types.ndarray()),
     **dict.fromkeys(("x_bar", "v_bar", "C_bar", "F_bar", "U_bar"), ti.types.ndarray()),

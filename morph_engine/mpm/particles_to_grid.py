@@ -3,6 +3,8 @@
 A node value is the vector (momentum or velocity, mass).
 """
 
+from typing import Any
+
 import taichi as ti
 
 from morph_engine.mpm import b_spline, stencil
@@ -14,11 +16,11 @@ SMALLEST_MASS = 1e-12
 
 # Arrays of one time step, see `Layer`, `Transition`, `PrivateGrids`. A launch takes some 5 us for
 # each, so that a kernel's pack has those that it works on and no others.
-ParticlesToGridArrays = ti.types.argpack(
+ParticlesToGridArrays: Any = ti.types.argpack(
     **dict.fromkeys(("x", "v", "C", "F", "U", "R", "volume"), ti.types.ndarray()),
     **dict.fromkeys(("partial", "touched", "nodes"), ti.types.ndarray()),
 )
-ParticlesToGridAdjointArrays = ti.types.argpack(
+ParticlesToGridAdjointArrays: Any = ti.types.argpack(
     **dict.fromkeys(("x", "F", "U", "x_bar", "v_bar", "C_bar", "F_bar"), ti.types.ndarray()),
     **dict.fromkeys(("partial", "touched", "nodes", "nodes_bar"), ti.types.ndarray()),
 )

@@ -72,7 +72,7 @@ class Simulation:
         device = backend.active()
         n = len(rest_volume)
         self.particle_count = n
-        self.grid = grid
+        self.grid: Grid = grid
         self.material = material
         self.dt = dt
         self.domain = domain

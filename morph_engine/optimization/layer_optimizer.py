@@ -16,7 +16,7 @@ STATIONARY_STEP = (1e-4, 1e-3)  # below this the update is damped
 STATIONARY_DAMPING = 0.2
 
 
-UpdateArrays = ti.types.argpack(
+UpdateArrays: Any = ti.types.argpack(
     **dict.fromkeys(("control", "first", "second", "largest"), ti.types.ndarray()),
     **dict.fromkeys(("control_new", "first_new", "second_new", "largest_new"), ti.types.ndarray()),
 )

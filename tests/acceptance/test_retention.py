@@ -32,7 +32,8 @@ def test_retention(cluster):
     worker.wait(10)
     queued = cluster.submit()
     storage, queue = cluster.storage, cluster.queue
-    sizes = JobSizes(database(cluster.settings), queue, storage)
+    engine = database(cluster.settings)
+    sizes = JobSizes(engine, queue, storage)
     assert delete_expired(cluster.settings, queue, sizes) == []
 
     room = storage.job_bytes(finished[2]) + storage.job_bytes(finished[1]) + 1
@@ -45,6 +46,7 @@ def test_retention(cluster):
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
     assert set(delete_expired(by_age, queue, sizes)) == set(finished[1:])
     assert [record.id for record in queue.newest()] == [queued]
+    engine.dispose()
 
 
 def test_what_is_resumed_meanwhile_stays(cluster):
