@@ -69,14 +69,6 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
         )
     summary = Summary(record, out)
     last = record.config.frames - 1
-    frames = morphing.run(
-        record,
-        device=execution.device,
-        threads=execution.threads,
-        out=out,
-        resume=execution.resume,
-        overwrite=execution.force,
-    )
 
     def stop() -> None:
         report(write_partial_result(record, out), as_json=execution.as_json)
@@ -85,6 +77,15 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
         interrupt.at_interrupt(stop),
         RunDisplay(last + 1, quiet=execution.quiet) as display,
     ):
+        frames = morphing.run(
+            record,
+            device=execution.device,
+            threads=execution.threads,
+            out=out,
+            resume=execution.resume,
+            overwrite=execution.force,
+            on_stage=display.describe,
+        )
         for frame in frames:
             summary.frames = frame.index + 1
             summary.metrics = frame.metrics

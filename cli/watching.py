@@ -77,6 +77,8 @@ def _show(event: Event, display: RunDisplay) -> None:
     data = event.data
     if event.type == "frame":
         display.advance(data["frame"], data["metrics"], data["seconds"])
+    elif event.type == "stage":
+        display.describe(data["stage"])
     elif event.type == "watchdog":
         display.print(data["message"])
     elif event.type == "attempt" and (data["attempt"] > 1 or data["resumed_frames"]):

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import psutil
@@ -46,6 +46,9 @@ from morph_engine.results.trajectory import write_result
 
 ShapeLike = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
+
+Stage = Literal["preparing", "computing"]
+"""What goes on before the first frame: the method gets ready, the first frame is computed."""
 
 MEGABYTE = 1e6
 BYTES_PER_PARTICLE = 16
@@ -147,21 +150,26 @@ def run(
     out: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    on_stage: Callable[[Stage], None] = lambda stage: None,
 ) -> Iterator[Frame]:
-    """Run, resume or repeat what a run record describes; arguments as for `morph`."""
+    """Run, resume or repeat what a run record describes; arguments as for `morph`.
+
+    `on_stage` hears what goes on before the first frame; from the first stage on, the run directory
+    of `out` holds the source.
+    """
     config = record.config
     check_resources(record, out)
     # Everything that can be refused is refused before a run directory exists.
     method = methods.find(config.method.name)
     backend.start(device, threads=threads, precision=config.precision)
     if out is None:
-        yield from _frames(record, method, threads)
+        yield from _frames(record, method, threads, on_stage)
         return
     spool = Spool.open(out, record) if resume else Spool.create(out, record, replace=overwrite)
     with spool:
         complete = False
         try:
-            yield from _frames(record, method, threads, spool)
+            yield from _frames(record, method, threads, on_stage, spool)
             complete = True
         finally:
             if spool.frame_count:
@@ -202,9 +210,11 @@ def _frames(
     record: RunRecord,
     kind: type[Method[Any]],
     threads: int,
+    on_stage: Callable[[Stage], None],
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
     config = record.config
+    on_stage("preparing")
     source, source_to_grid = record.fitted("source")
     target, target_to_grid = record.fitted("target")
     method = kind(
@@ -218,6 +228,7 @@ def _frames(
             target_to_grid=_matrix(target_to_grid),
         )
     )
+    on_stage("computing")
     stopping = EarlyStopping(config)
     start = 0
     checkpoint = spool.load_checkpoint() if spool else None

@@ -14,7 +14,7 @@ class Event(BaseModel):
     """Something that happened to a job; the same over SSE and by polling."""
 
     id: int = Field(description="Ascending within a job; resume after it.")
-    type: Literal["attempt", "frame", "watchdog", "problem", "state"]
+    type: Literal["attempt", "stage", "frame", "watchdog", "problem", "state"]
     at: datetime
     data: dict[str, Any]
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from chamfer_morph.schemas.problems import Problem
 from chamfer_morph.schemas.shapes import Shape
-from chamfer_morph.schemas.types import Device, Name, Request, Seed, Sha256
+from chamfer_morph.schemas.types import Device, JobStage, Name, Request, Seed, Sha256
 
 
 class JobState(str, Enum):
@@ -80,6 +80,11 @@ class Progress(BaseModel):
         default_factory=dict, description="Of the last finished frame."
     )
     seconds_left: float | None = Field(None, description="Estimate of the time left [s].")
+    stage: JobStage | None = Field(
+        None,
+        description="Before the first frame of an attempt: `filling` the shapes with particles, "
+        "`preparing` the method, `computing` the frame. From `preparing` on the source is there.",
+    )
 
 
 class Job(BaseModel):

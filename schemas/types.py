@@ -14,6 +14,9 @@ Units = Literal["grid", "user"]
 Fit = Literal["auto", "none", "volume", "extent"]
 """How a shape is placed in the domain; `auto` scales only what does not fit."""
 
+JobStage = Literal["filling", "preparing", "computing"]
+"""What goes on before the first frame of an attempt."""
+
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]

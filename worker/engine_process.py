@@ -19,7 +19,7 @@ import threading
 import time
 from pathlib import Path
 from queue import Queue
-from typing import Any
+from typing import Any, Literal
 
 import psutil
 
@@ -34,7 +34,7 @@ from morph_engine.child_process import lower_priority
 from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
-from morph_engine.morphing import prepare, run
+from morph_engine.morphing import Stage, prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
@@ -93,21 +93,27 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
     resume = record is not None
     if record is None and _is_complete(out):
         return _outcome(out, cpu)
-    if record is None:
-        source, target = storage.resolve(spec.source), storage.resolve(spec.target)
-        record = prepare(source, target, spec.config)
-    frames = record.config.frames
     resumed = _checkpointed(out) if resume else 0
-    method = record.config.method.name
+    method = (record or spec).config.method.name
     code = _code(method)
     events = log.read(limit=10**9)
     logged = {event.data["frame"] for event in events if event.type == "frame"}
     codes = {code, *(event.data.get("code") for event in events if event.type == "attempt")}
     log.append("attempt", {"attempt": attempt, "resumed_frames": resumed, "code": code})
+
+    def enter(stage: Stage | Literal["filling"]) -> None:
+        log.append("stage", {"stage": stage})
+
+    if record is None:
+        enter("filling")
+        source, target = storage.resolve(spec.source), storage.resolve(spec.target)
+        record = prepare(source, target, spec.config)
+    frames = record.config.frames
     _send("started", {"cell": cell_of(record)})
     for frame in run(
-        record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True
-    ):
+        record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True,
+        on_stage=enter,
+    ):  # fmt: skip
         if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:
                 log.append("watchdog", dict(event.document()))

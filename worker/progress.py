@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import get_args
 
+from chamfer_morph.schemas import Event, JobStage
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.storage import Storage
@@ -23,6 +26,7 @@ class JobProgress:
         attempt: Number of the current attempt; 0 before the first.
         metrics: Metrics of the last finished frame.
         seconds_left: Estimate of the time left [s], None without a frame to judge by.
+        stage: What goes on before the first frame of an attempt, None once that is there.
     """
 
     frame: int
@@ -30,6 +34,7 @@ class JobProgress:
     attempt: int = 0
     metrics: dict[str, float] = field(default_factory=dict)
     seconds_left: float | None = None
+    stage: JobStage | None = None
 
 
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
@@ -48,8 +53,9 @@ def _progress(log: EventLog, version: tuple[int, int], total: int) -> JobProgres
     events = log.tail()
     frames = [event for event in events if event.type == "frame"]
     attempts = [int(event.data["attempt"]) for event in events if "attempt" in event.data]
+    stage = _stage(events)
     if not frames:
-        return JobProgress(0, total, max(attempts, default=0))
+        return JobProgress(0, total, max(attempts, default=0), stage=stage)
     last = frames[-1].data
     done = int(last["frame"]) + 1
     seconds = [float(event.data["seconds"]) for event in frames[-5:]]
@@ -59,4 +65,14 @@ def _progress(log: EventLog, version: tuple[int, int], total: int) -> JobProgres
         attempt=int(last["attempt"]),
         metrics={name: float(value) for name, value in last["metrics"].items()},
         seconds_left=(total - done) * sum(seconds) / len(seconds),
+        stage=stage,
     )
+
+
+def _stage(events: Sequence[Event]) -> JobStage | None:
+    """The stage that the last events tell, unless a frame or another attempt came after it."""
+    last = next((e for e in reversed(events) if e.type in ("stage", "frame", "attempt")), None)
+    if last is None or last.type != "stage" or last.data["stage"] not in get_args(JobStage):
+        return None
+    stage: JobStage = last.data["stage"]
+    return stage

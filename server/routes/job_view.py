@@ -81,6 +81,7 @@ def _to_job(snapshot: _JobSnapshot) -> Job:
             attempt=progress.attempt,
             metrics=progress.metrics,
             seconds_left=_seconds_left(snapshot),
+            stage=progress.stage if record.state is JobState.RUNNING else None,
         ),
         queue_position=snapshot.position,
         outcome=record.outcome,

@@ -55,6 +55,16 @@ def test_a_retry_begins_anew(cluster):
     assert cluster.storage.events(job).read()[0].data["attempt"] == 1
 
 
+def test_the_stages_before_the_first_frame(cluster):
+    """They are told in order, and the source is there from the second on."""
+    cluster.worker()
+    job = cluster.submit(frames=1)
+    cluster.wait_for_state(job, JobState.SUCCEEDED)
+    events = cluster.storage.events(job).read()
+    told = [event.data.get("stage", event.type) for event in events]
+    assert told == ["attempt", "filling", "preparing", "computing", "frame"]
+
+
 def test_own_priorities(cluster):
     """An urgent job takes its owner's first place, and pushes no other owner out of theirs."""
     usual = [cluster.submit(frames=1, owner="a") for _ in range(2)]

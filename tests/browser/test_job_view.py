@@ -117,6 +117,22 @@ def test_a_remembered_target_comes_with_the_first_frame(new_service, new_page):
     assert found.value.ok
 
 
+def test_the_source_is_in_sight_before_the_first_frame(new_service, new_page):
+    """While the method gets ready, which the page says, too."""
+    fresh = new_service()
+    page = new_page(of=fresh)
+    before = fresh.submit(name="in the way", frames=MANY)
+    fresh.wait_for(before, "running")
+    job = fresh.submit(name="large", frames=1, method="flow", overrides={})
+    page.goto(f"/jobs/{job}")
+    fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    expect(page.locator(".scene canvas")).to_have_attribute(
+        "aria-label", "The source. No frame is finished yet.", timeout=COMPILING * 1000
+    )
+    assert drawn(picture(page)) > 0.05
+    fresh.call("POST", f"/v1/jobs/{job}/cancel")
+
+
 def test_a_retry_begins_with_an_empty_view(new_service, new_page):
     """While the job waits again, nothing of its first time is in sight."""
     fresh = new_service()

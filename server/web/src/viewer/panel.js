@@ -42,6 +42,7 @@ export class Panel {
     this.display = { ...display };
     this.sharedRange = sharedRange;
     this.metrics = () => null;
+    this.sourceShown = false;
     this.total = 0;
     this.index = -1;
     this.frames = new Frames(jobId, {
@@ -96,6 +97,7 @@ export class Panel {
     this.#fields.clear();
     this.#surfaces.clear();
     this.source = undefined;
+    this.sourceShown = false;
     this.#rangeOf = "";
     this.index = -1;
     this.#turn += 1;
@@ -120,6 +122,23 @@ export class Panel {
     if (viewer) await this.#paint(viewer, turn);
   }
 
+  /** Show the source until there is a frame. */
+  async showSource() {
+    if (this.sourceShown || this.frames.known) return;
+    this.sourceShown = true;
+    const turn = this.#turn;
+    try {
+      this.source ??= (await points(`/jobs/${this.jobId}/source`, { signal: this.signal })).positions;
+    } catch {
+      return; // the first frame will do
+    }
+    const viewer = await this.#ready;
+    if (turn !== this.#turn || this.frames.known) return;
+    viewer?.setSurface(null);
+    viewer?.setFrame(-1, this.source);
+    this.describe();
+  }
+
   /** Show the same frame in another way. */
   async setDisplay(display) {
     const before = this.display;
@@ -142,7 +161,8 @@ export class Panel {
       parts.push(`Chamfer distance ${number(metrics.two_sided, 3)} dx`);
     }
     if (metrics?.coverage !== undefined) parts.push(`coverage ${percent(metrics.coverage).replace(" ", "\u00a0")}`);
-    const text = this.index < 0 ? "No frame is finished yet." : `${parts.join(", ")}.`;
+    const none = this.source ? "The source. No frame is finished yet." : "No frame is finished yet.";
+    const text = this.index < 0 ? none : `${parts.join(", ")}.`;
     this.caption.textContent = text;
     this.scene.querySelector("canvas")?.setAttribute("aria-label", text);
   }

@@ -50,6 +50,7 @@ export async function show(root, { id }, signal) {
     downloads.update(job);
     history.set({ job });
     panel.total = job.progress.frames;
+    if (["preparing", "computing"].includes(job.progress.stage)) panel.showSource();
     if (job.progress.frame === 0 && panel.frames.known) onAnew();
     grow(job.progress.frame);
   };
@@ -89,7 +90,10 @@ export async function show(root, { id }, signal) {
     onJob,
     onRows,
     onAnew,
-    onEvents: (events) => history.set({ events }),
+    onEvents: (events) => {
+      history.set({ events });
+      if (events.at(-1)?.type === "stage" && lives(watch.job.state)) watch.ask().catch(() => {});
+    },
     onConnection: (there) => summary.connection(there),
   });
 

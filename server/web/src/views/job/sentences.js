@@ -1,12 +1,20 @@
 /** Events of a job as sentences. */
 import { plural, state as stateWord } from "../../format.js";
 
+/** What goes on before the first frame. */
+export const STAGES = {
+  filling: "The shapes are filled with particles.",
+  preparing: "The method gets ready.",
+  computing: "The first frame is computed.",
+};
+
 const SAY = {
   submitted: () => "Submitted.",
   attempt: ({ attempt, resumed_frames: resumed }) =>
     resumed
       ? `Attempt ${attempt} went on after ${plural(resumed, "frame")}.`
       : `Attempt ${attempt} began.`,
+  stage: ({ stage }) => STAGES[stage] ?? "",
   watchdog: ({ frame, message, kind }) => `Frame ${frame + 1}: ${message || kind}`,
   problem: ({ cause, remedy, retry }) =>
     [cause, remedy, retry && "It is tried again."].filter(Boolean).join(" "),

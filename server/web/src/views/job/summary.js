@@ -7,6 +7,7 @@ import { go } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { MAX_COMPARED } from "../compare/max_compared.js";
 import { actions } from "../jobs/actions.js";
+import { STAGES } from "./sentences.js";
 
 const GONE = "The service does not answer. The page goes on by itself once it is back.";
 const METRICS = [
@@ -132,6 +133,7 @@ function standing(job) {
   if (progress.frame > 0 || state === "running") {
     words.push(`${progress.frame} of ${plural(progress.frames, "frame")}`);
   }
+  if (progress.stage) words.push(STAGES[progress.stage]);
   if (lives(state) && progress.seconds_left !== null) words.push(`about ${duration(progress.seconds_left)} left`);
   if (state === "succeeded" && job.started_at) {
     words.push(`in ${duration((new Date(job.finished_at) - new Date(job.started_at)) / 1000)}`);
