@@ -7,6 +7,8 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from morph_engine.methods.flow import FlowOptions
+
 pytestmark = pytest.mark.browser
 
 
@@ -144,7 +146,7 @@ def test_settings_are_those_of_the_chosen_methods(page):
     page.goto("/new")
     page.get_by_text("All settings").click()
     weight, memory = page.locator("[id='set-chamfer.weight']"), page.locator("[id='set-memory']")
-    expect(memory).to_have_value("2")
+    expect(memory).to_have_value(f"{FlowOptions().memory:g}")
     expect(weight).to_be_hidden()
     memory.fill("3")
     memory.blur()
