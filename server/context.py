@@ -19,8 +19,8 @@ from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.worker.dbos_adapter import database
-from chamfer_morph.worker.job_sizes import JobSizes
 from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.worker.job_sizes import JobSizes
 from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 

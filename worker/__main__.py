@@ -63,8 +63,8 @@ def adopt(settings: Settings, executor: str) -> None:
     It ends by a signal where it takes too long, whether or not the caller still lives.
     """
     signal.alarm(ADOPTION_LIMIT_SECONDS)
+    from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.queue import JobQueue
-    from chamfer_morph.worker.spare_engine import SpareEngine
     from chamfer_morph.worker.workflow import launch
 
     spare = SpareEngine(settings)
@@ -77,9 +77,9 @@ def adopt(settings: Settings, executor: str) -> None:
 
 def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
+    from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
-    from chamfer_morph.worker.spare_engine import SpareEngine
     from chamfer_morph.worker.workflow import launch
 
     queue = JobQueue(settings)

@@ -11,10 +11,10 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from chamfer_morph.schemas import Outcome, Problem
-from chamfer_morph.worker.engine import Engine
+from chamfer_morph.worker.engines.engine import Engine
+from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.spare_engine import SpareEngine
 
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5

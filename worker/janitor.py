@@ -8,11 +8,11 @@ import subprocess
 import time
 
 from chamfer_morph.worker.dbos_adapter import database
-from chamfer_morph.worker.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.locks import try_lock
 from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
+from chamfer_morph.worker.retention.steady_clock import SteadyClock
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.steady_clock import SteadyClock
 from chamfer_morph.worker.storage import Storage
 from morph_engine.child_process import python_command
 

@@ -21,11 +21,11 @@ from chamfer_morph.worker.dbos_adapter import (
     end_when_disk_is_full,
     let_internal_queue_rest,
 )
+from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import is_paused
-from chamfer_morph.worker.spare_engine import SpareEngine
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 

@@ -16,7 +16,7 @@ from chamfer_morph.worker.janitor import (
     delete_expired,
     delete_if_unchanged,
 )
-from chamfer_morph.worker.job_sizes import JobSizes
+from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.storage import Storage
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from chamfer_morph.worker.steady_clock import ABSENCE_SECONDS, TRUST_SECONDS, SteadyClock
+from chamfer_morph.worker.retention.steady_clock import ABSENCE_SECONDS, TRUST_SECONDS, SteadyClock
 
 DAY = 86400.0
 

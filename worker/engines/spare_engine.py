@@ -8,7 +8,7 @@ import threading
 import time
 from pathlib import Path
 
-from chamfer_morph.worker.engine import Engine
+from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 

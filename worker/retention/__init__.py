@@ -1,0 +1,1 @@
+"""How much finished jobs take, and when they may be deleted."""
