@@ -86,7 +86,10 @@ def _engine() -> str:
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    """Write a file that appears as a whole, and delete what is too much."""
+    """Write a file that appears as a whole, and delete what is too much.
+
+    Two processes may write the same one at a time, hence the temporary names.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
         temporary = Path(file.name)

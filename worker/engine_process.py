@@ -19,11 +19,11 @@ import threading
 import time
 from pathlib import Path
 from queue import Queue
-from typing import Any, Literal
+from typing import Any
 
 import psutil
 
-from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.schemas import JobStage, Outcome, Problem
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
 from chamfer_morph.worker.job import JobSpec, problem_of
@@ -34,7 +34,7 @@ from morph_engine.child_process import lower_priority
 from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
-from morph_engine.morphing import Stage, prepare, run
+from morph_engine.morphing import prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
@@ -93,40 +93,41 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
     resume = record is not None
     if record is None and _is_complete(out):
         return _outcome(out, cpu)
+    earlier = log.read(limit=10**9)
     resumed = _checkpointed(out) if resume else 0
     method = (record or spec).config.method.name
     code = _code(method)
-    events = log.read(limit=10**9)
-    logged = {event.data["frame"] for event in events if event.type == "frame"}
-    codes = {code, *(event.data.get("code") for event in events if event.type == "attempt")}
     log.append("attempt", {"attempt": attempt, "resumed_frames": resumed, "code": code})
 
-    def enter(stage: Stage | Literal["filling"]) -> None:
+    def enter(stage: JobStage) -> None:
         log.append("stage", {"stage": stage})
 
     if record is None:
         enter("filling")
         source, target = storage.resolve(spec.source), storage.resolve(spec.target)
         record = prepare(source, target, spec.config)
-    frames = record.config.frames
     _send("started", {"cell": cell_of(record)})
-    for frame in run(
+    frames = run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True,
         on_stage=enter,
-    ):  # fmt: skip
+    )  # fmt: skip
+    logged = {event.data["frame"] for event in earlier if event.type == "frame"}
+    for frame in frames:
         if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:
                 log.append("watchdog", dict(event.document()))
-            about = {"frame": frame.index, "frames": frames, "attempt": attempt}
+            about = {"frame": frame.index, "frames": record.config.frames, "attempt": attempt}
             log.append("frame", about | {"metrics": frame.metrics, "seconds": frame.seconds})
             _send("frame", {"frame": frame.index})
-    seconds = {
-        "wall_seconds": round(time.time() - wall, 2),
-        "cpu_seconds": round(time.process_time() - cpu, 2),
-    }
-    provenance = provenance_by_now(method).model_copy(update=seconds | {"code": code})
-    if resumed and len(codes) > 1:
-        provenance = provenance.model_copy(update={"code": ""})
+    codes = {code, *(event.data.get("code") for event in earlier if event.type == "attempt")}
+    of_one_code = code if not resumed or len(codes) == 1 else ""
+    provenance = provenance_by_now(method).model_copy(
+        update={
+            "code": of_one_code,
+            "wall_seconds": round(time.time() - wall, 2),
+            "cpu_seconds": round(time.process_time() - cpu, 2),
+        }
+    )
     outcome = _outcome(out, cpu)
     return outcome.model_copy(update={"provenance": provenance.model_dump(mode="json")})
 

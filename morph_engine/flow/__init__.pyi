@@ -12,6 +12,5 @@ from .correspondence import match as match
 from .correspondence import sample_controls as sample_controls
 from .projection import Projection as Projection
 from .projection import clear as clear
-from .stray_pieces import gather_stray_pieces as gather_stray_pieces
-from .stray_pieces import largest_stray_piece as largest_stray_piece
+from .stray_pieces import StrayPieces as StrayPieces
 from .warp import Warp as Warp

@@ -4,6 +4,7 @@ Where a limb withdraws or a handle breaks, a few particles may stay behind. Two 
 where balls that cover a lattice of the spacing h touch, as in `metrics.count_pieces`.
 """
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,56 +24,70 @@ REJOINED = 1.6
 """Distance from the body to which a piece is brought [h]."""
 
 FEW = 8
-"""A small piece has particles with at most so many links; inside an even body each has 20."""
+"""A small piece has particles with at most so many links; a point inside a lattice has 26."""
 
 LARGEST = 1e-3
 """Share of all particles that a stray piece has, at most."""
 
 
-def largest_stray_piece(ends: list[NDArray[Any]], spacing: float) -> int:
-    """Particles of a stray piece, at most: fewer than any piece of the ends has.
+class StrayPieces:
+    """Brings stray pieces back: those with fewer particles than any piece of the ends has.
 
     Args:
         ends: Particles of source and target [dx], shape [n, 3] and [m, 3].
         spacing: Lattice spacing h of both [dx].
-    """
-    least = min(piece_sizes(points, spacing).min() / len(points) for points in ends)
-    return int(len(ends[0]) * min(LARGEST, least / 2))
-
-
-def gather_stray_pieces(x: Any, moved: Any, cells: CellList, spacing: float, largest: int) -> None:
-    """Bring stray pieces back to the body, each as it is, by the shortest move.
-
-    Args:
-        x: Positions [dx], device array, shape [n, 3]; changed in place.
-        moved: What each particle is moved is added to this [dx], shape [n].
         cells: Lists the particles.
-        spacing: Lattice spacing of the particles by now [dx].
-        largest: Particles of a stray piece, at most.
     """
-    cells.build(x)
-    few = backend.active().integers(x.shape[0])
-    _mark_few_links(
-        x, few, cells.first, cells.order, cells.origin, cells.edge, cells.per_axis, LINK * spacing
-    )
-    starts = np.flatnonzero(few.to_numpy())
-    if not len(starts):
-        return
-    positions = x.to_numpy()
-    pieces = find_small_pieces(positions, starts, LINK * spacing, largest)
-    if not pieces:
-        return
-    body = np.delete(positions, np.concatenate(pieces), axis=0)
-    tree, lengths = scipy.spatial.cKDTree(body), moved.to_numpy()
-    for piece in pieces:
-        gaps, nearest = tree.query(positions[piece])
-        first = int(np.argmin(gaps))
-        share = 1 - REJOINED * spacing / gaps[first]
-        move = share * (body[nearest[first]] - positions[piece[first]])
-        positions[piece] += move
-        lengths[piece] += np.linalg.norm(move)
-    x.from_numpy(positions)
-    moved.from_numpy(lengths)
+
+    def __init__(self, ends: list[NDArray[Any]], spacing: float, cells: CellList) -> None:
+        self._ends = ends
+        self._spacing = spacing
+        self._cells = cells
+        self._few = backend.active().integers(cells.order.shape[0])
+
+    def gather(self, x: Any, moved: Any, spacing: float) -> None:
+        """Bring each back to the body as it is, by the shortest move.
+
+        Args:
+            x: Positions [dx], device array, shape [n, 3]; changed in place.
+            moved: What each particle is moved is added to this [dx], shape [n].
+            spacing: Lattice spacing of the particles by now [dx].
+        """
+        positions = x.to_numpy()
+        pieces = self._find(x, positions, LINK * spacing)
+        if not pieces:
+            return
+        body = np.delete(positions, np.concatenate(pieces), axis=0)
+        tree, lengths = scipy.spatial.cKDTree(body), moved.to_numpy()
+        for piece in pieces:
+            gaps, nearest = tree.query(positions[piece])
+            first = int(np.argmin(gaps))
+            share = 1 - REJOINED * spacing / gaps[first]
+            move = share * (body[nearest[first]] - positions[piece[first]])
+            positions[piece] += move
+            lengths[piece] += np.linalg.norm(move)
+        x.from_numpy(positions)
+        moved.from_numpy(lengths)
+
+    def _find(self, x: Any, positions: NDArray[Any], reach: float) -> list[NDArray[np.intp]]:
+        """The stray pieces, where particles closer than `reach` are linked [dx]."""
+        cells, few = self._cells, self._few
+        cells.build(x)
+        _mark_few_links(
+            x, few, cells.first, cells.order, cells.origin, cells.edge, cells.per_axis, reach
+        )
+        starts = np.flatnonzero(few.to_numpy())
+        if not len(starts):
+            return []
+        pieces = find_small_pieces(positions, starts, reach, int(LARGEST * len(positions)))
+        return [piece for piece in pieces if len(piece) <= self._largest]
+
+    @cached_property
+    def _largest(self) -> int:
+        """Particles of a stray piece, at most; found once there is a small piece at all."""
+        pieces = [(len(end), piece_sizes(end, self._spacing).min()) for end in self._ends]
+        least = min(size / count for count, size in pieces)
+        return int(len(self._ends[0]) * min(LARGEST, least / 2))
 
 
 def find_small_pieces(

@@ -176,8 +176,8 @@ class Flow(MpmMethod[FlowOptions]):
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._wanted = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._moved = device.scalars(len(problem.source))
-        self._largest_stray_piece = flow.largest_stray_piece(
-            [problem.source, problem.target], config.spacing
+        self._stray_pieces = flow.StrayPieces(
+            [problem.source, problem.target], config.spacing, self._settling.cells
         )
         self._body_frame = -1
         time = options.time
@@ -389,10 +389,7 @@ class Flow(MpmMethod[FlowOptions]):
             simulation.layers.reverse()
             if simulation.faults:
                 return simulation.faults
-        flow.gather_stray_pieces(
-            simulation.layers[0].x, self._moved, self._settling.cells,
-            self._spacing(next_share), self._largest_stray_piece,
-        )  # fmt: skip
+        self._stray_pieces.gather(simulation.layers[0].x, self._moved, self._spacing(next_share))
         return 0
 
     def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], quarters: int) -> None:

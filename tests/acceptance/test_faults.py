@@ -8,6 +8,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
+from pathlib import Path
 
 import psutil
 import pytest
@@ -392,6 +393,16 @@ def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
     assert set(wanted) < set(found)
 
 
+def fill_disk(folder: Path) -> Path:
+    """Fill a disk to the last byte; returns the file that does."""
+    filling = folder / "filling"
+    with suppress(OSError), filling.open("wb") as file:
+        while True:
+            file.write(bytes(1 << 12))
+            file.flush()
+    return filling
+
+
 def test_disk_full(new_cluster, small_disk, undisturbed):
     """A job that finds the disk full fails and says so; with room again, resume finishes it."""
     cluster = new_cluster("")
@@ -401,11 +412,7 @@ def test_disk_full(new_cluster, small_disk, undisturbed):
     cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 1)
-    filling = small_disk / "filling"
-    with suppress(OSError), filling.open("wb") as file:
-        while True:
-            file.write(bytes(1 << 16))
-            file.flush()
+    filling = fill_disk(small_disk)
     record = cluster.wait_for_state(job, JobState.FAILED)
     assert "space" in f"{record.problem.cause} {record.problem.remedy}"
     filling.unlink()
@@ -419,11 +426,7 @@ def test_disk_of_database_and_data_full(new_cluster, small_disk, undisturbed):
     worker = cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 1)
-    filling = small_disk / "filling"
-    with suppress(OSError), filling.open("wb") as file:
-        while True:
-            file.write(bytes(1 << 12))
-            file.flush()
+    filling = fill_disk(small_disk)
     assert worker.wait(60) == ExitCode.DISK_FULL
     assert cluster.job(job).state is JobState.RUNNING
     filling.unlink()

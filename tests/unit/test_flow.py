@@ -18,10 +18,9 @@ from morph_engine.flow import (
     LayerArrays,
     Projection,
     Settling,
+    StrayPieces,
     Warp,
     fine_axis,
-    gather_stray_pieces,
-    largest_stray_piece,
     match,
     prepare,
     sample_controls,
@@ -166,8 +165,8 @@ def gathered(x: np.ndarray, ends: list[np.ndarray]) -> tuple[np.ndarray, np.ndar
     backend.start("cpu", threads=2)
     device = backend.active()
     positions, moved = device.upload(np.float32(x)), device.scalars(len(x))
-    largest = largest_stray_piece(ends, 0.25)
-    gather_stray_pieces(positions, moved, CellList(len(x), GRID, 0.25), 0.25, largest)
+    cells = CellList(len(x), GRID, 0.25)
+    StrayPieces(ends, 0.25, cells).gather(positions, moved, 0.25)
     return positions.to_numpy(), moved.to_numpy()
 
 

@@ -23,6 +23,7 @@ export class Panel {
   #fields = new Map();
   #surfaces = new Map();
   #asked = new AbortController();
+  #sourceAsked = false;
   #rangeOf = "";
   #measured = Infinity; // frames that were known then
   #targetShown = null;
@@ -42,7 +43,6 @@ export class Panel {
     this.display = { ...display };
     this.sharedRange = sharedRange;
     this.metrics = () => null;
-    this.sourceShown = false;
     this.total = 0;
     this.index = -1;
     this.frames = new Frames(jobId, {
@@ -97,7 +97,7 @@ export class Panel {
     this.#fields.clear();
     this.#surfaces.clear();
     this.source = undefined;
-    this.sourceShown = false;
+    this.#sourceAsked = false;
     this.#rangeOf = "";
     this.index = -1;
     this.#turn += 1;
@@ -124,8 +124,8 @@ export class Panel {
 
   /** Show the source until there is a frame. */
   async showSource() {
-    if (this.sourceShown || this.frames.known) return;
-    this.sourceShown = true;
+    if (this.#sourceAsked || this.frames.known) return;
+    this.#sourceAsked = true;
     const turn = this.#turn;
     try {
       this.source ??= (await points(`/jobs/${this.jobId}/source`, { signal: this.signal })).positions;

@@ -14,7 +14,7 @@ const SAY = {
     resumed
       ? `Attempt ${attempt} went on after ${plural(resumed, "frame")}.`
       : `Attempt ${attempt} began.`,
-  stage: ({ stage }) => STAGES[stage] ?? "",
+  stage: ({ stage }) => STAGES[stage],
   watchdog: ({ frame, message, kind }) => `Frame ${frame + 1}: ${message || kind}`,
   problem: ({ cause, remedy, retry }) =>
     [cause, remedy, retry && "It is tried again."].filter(Boolean).join(" "),
