@@ -8,8 +8,9 @@ from typing import Any
 
 from morph_engine import backend
 from morph_engine.code_digest import code_digest
+from morph_engine.config import MorphConfig
 from morph_engine.methods import DEFAULT_METHOD
-from morph_engine.methods.flow import FlowOptions, cell_edge
+from morph_engine.methods.flow import MARGIN, FlowOptions, grid_of
 from morph_engine.morphing import morph
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
@@ -20,18 +21,25 @@ LIBRARIES = (
 )  # fmt: skip
 """Libraries that the engine imports when it first needs them."""
 
+SPHERE_RADIUS = 7.0
+"""Of the ball around the particles of the small run [dx], or a little more."""
+
+TYPICAL_EXTENT = 32
+"""Half the cells along an axis of the grids of most pairs of shapes by default."""
+
 SMALL: dict[str, Any] = {"sampling.points_per_cell_edge": 1, "frames": 1, "like_parts": "off"}
-"""A run of 1400 particles calls the kernels of a large one."""
+"""A run of 1400 particles of a sphere calls the kernels of a large one."""
 
 
-def warm_up(threads: int, cell: float | None = None) -> Iterator[None]:
+def warm_up(threads: int, extent: int = TYPICAL_EXTENT) -> Iterator[None]:
     """Import what runs need, start Taichi on the best device and load the default method's kernels.
 
     Only time is saved: what a run computes afterwards is the same to the last bit.
 
     Args:
         threads: CPU threads of the runs to come.
-        cell: Edge of their grid cells [dx], which kernels are compiled for, if one may guess.
+        extent: Half the cells of their grid along an axis, as far as one may guess: kernels are
+            compiled for each.
 
     Yields:
         After each step, so that a run that cannot wait may begin.
@@ -42,18 +50,22 @@ def warm_up(threads: int, cell: float | None = None) -> Iterator[None]:
         yield
     backend.start("auto", threads=threads)
     yield
-    # particles are 1 dx apart and as many as target points, so that cells have the edge as given
-    config = configure(overrides=SMALL | ({"cell": cell} if cell else {}))
-    for _ in morph("sphere", "sphere", config, threads=threads):
+    for _ in morph("sphere", "sphere", small_run(extent), threads=threads):
         yield
     code_digest(DEFAULT_METHOD)
     yield
 
 
-def cell_of(record: RunRecord) -> float | None:
-    """Edge of the grid cells of a run [dx], if it is of the default method."""
-    config, options = record.config, record.config.method
+def extent_of(record: RunRecord) -> int | None:
+    """Half the cells along an axis of the grid of a run, if it is of the default method."""
+    options = record.config.method
     if not isinstance(options, FlowOptions):
         return None
-    counts = len(record.source_points), len(record.target_points)
-    return cell_edge(options, config.spacing, *counts)
+    grid = grid_of(options, record.config, record.source_points, record.target_points)
+    return round(grid.half_extent / grid.dx)
+
+
+def small_run(extent: int) -> MorphConfig:
+    """A run from the built-in sphere to itself, whose grid has such an extent [cells]."""
+    cell = SPHERE_RADIUS / (extent - MARGIN)
+    return configure(overrides=SMALL | {"cell": cell})

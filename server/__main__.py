@@ -25,6 +25,7 @@ def main() -> None:
     logging.basicConfig(
         format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
     )
+    logging.getLogger("chamfer_morph.audit").setLevel(logging.INFO)
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
         sys.exit(_run(_parser().parse_args(), load_settings()))

@@ -12,6 +12,7 @@ from fastapi_offline import FastAPIOffline
 
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.http import openapi, problems
+from chamfer_morph.server.http.audit import AuditMiddleware
 from chamfer_morph.server.http.local_only import LocalOnlyMiddleware
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
 from chamfer_morph.server.routes import (
@@ -88,6 +89,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.add_middleware(LocalOnlyMiddleware)
     app.add_middleware(health.MetricsMiddleware, metrics)
+    app.add_middleware(AuditMiddleware)
     v1 = APIRouter(prefix="/v1")
     for resource in ROUTERS:
         v1.include_router(resource.router)

@@ -134,6 +134,7 @@ class RequireScope:
             raise _unauthorized("The Authorization header holds no bearer key.")
         authenticator: Authenticator = request.app.state.context.authenticator
         found = await authenticator.authenticate(key.credentials if key else None)
+        request.state.caller = found
         if not found.has_scope(self.scope):
             raise ProblemError(
                 403,

@@ -1,4 +1,4 @@
-"""An engine process: it computes one job. Its arguments are THREADS and perhaps CELL, see `main`.
+"""An engine process: it computes one job. Its arguments are THREADS and perhaps EXTENT, see `main`.
 
 Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
 `job_dir` and `attempt`, writes frames, checkpoint, events and result, and tells its worker about
@@ -40,22 +40,22 @@ from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
-from morph_engine.warm_up import cell_of, warm_up
+from morph_engine.warm_up import TYPICAL_EXTENT, extent_of, warm_up
 
 SILENCE_SECONDS = 6.0
 
 
-def main(threads: int, cell: float | None = None) -> None:
+def main(threads: int, extent: int = TYPICAL_EXTENT) -> None:
     """Wait for a job, compute it or go on with it, and say how it went.
 
     Args:
         threads: CPU threads to compute with.
-        cell: Edge of the grid cells that the job will probably have [dx].
+        extent: Half the cells along an axis of the grid that the job will probably have.
     """
     lower_priority()
     jobs: Queue[dict[str, Any]] = Queue()
     threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
-    if all(jobs.empty() for _ in warm_up(threads, cell)):
+    if all(jobs.empty() for _ in warm_up(threads, extent)):
         _send("ready", {"device": backend.active().device})
     job = jobs.get()
     job_dir = Path(job["job_dir"])
@@ -106,7 +106,7 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         enter("filling")
         source, target = storage.resolve(spec.source), storage.resolve(spec.target)
         record = prepare(source, target, spec.config)
-    _send("started", {"cell": cell_of(record)})
+    _send("started", {"extent": extent_of(record)})
     frames = run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True,
         on_stage=enter,
@@ -217,4 +217,4 @@ def _send(type: str, data: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), *map(float, sys.argv[2:]))
+    main(int(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -143,8 +143,8 @@ def relaxed(system: ti.template(), row: int):
     return total / system.diagonal[row]
 
 
-@ti.kernel
-def v_cycle(system: System, levels: ti.template()):
+@ti.func
+def v_cycle(system: ti.template(), levels: ti.template()):
     """z = an approximate solution of A z = r on the finest level, linear and symmetric in r."""
     for level in ti.static(range(levels.count - 1)):
         first = ti.static(levels.offsets[level])

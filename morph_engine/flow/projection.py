@@ -96,20 +96,17 @@ class Projection:
         chunks = (count, self._chunks, size, self._stride)
         assemble(nodes, wanted, wanted_next, system, vectors, self.full, gain, dt, grid)
         assemble_coarse(system, self._levels)
-        begin(system, vectors, *chunks)
-        limit = self.tolerance * max(self._largest(), 1e-12)
+        largest = begin(system, vectors, *chunks)
+        limit = self.tolerance * max(largest, 1e-12)
         self.iterations_made = 0
         while self.iterations_made < self.iterations:
-            v_cycle(system, self._levels)
-            descend(system, vectors, self.iterations_made == 0, *chunks)
+            first = self.iterations_made == 0
+            largest = descend(system, self._levels, vectors, first, *chunks)
             self.iterations_made += 1
-            if self._largest() < limit:
+            if largest < limit:
                 break
         finish(nodes, system, vectors, count, grid)
         calm(nodes, NEARLY_EMPTY * self.full, CALM * grid.dx / dt)
-
-    def _largest(self) -> float:
-        return float(self._vectors.partial.to_numpy()[:, 3].max())
 
 
 @ti.kernel
@@ -192,9 +189,24 @@ def chunk_sum(vectors: ti.template(), chunks: int, column: ti.template()):
     return total
 
 
+@ti.func
+def largest_of(vectors: ti.template(), chunks: int):
+    """The largest of what the chunks have found."""
+    largest = 0.0
+    for _ in range(1):  # by one thread
+        for c in range(chunks):
+            largest = ti.max(largest, vectors.partial[c][3])
+    return largest
+
+
 @ti.kernel
-def begin(system: System, vectors: Vectors, count: int, chunks: int, size: int, stride: int):
-    """First residual; partial holds (p.q, r.z, r.z before, largest |r|, at first of the rhs)."""
+def begin(
+    system: System, vectors: Vectors, count: int, chunks: int, size: int, stride: int
+) -> float:
+    """First residual; returns the largest of the right-hand side.
+
+    partial holds (p.q, r.z, r.z before, largest |r|, at first of the rhs) of each chunk.
+    """
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk = task // stride
@@ -206,13 +218,22 @@ def begin(system: System, vectors: Vectors, count: int, chunks: int, size: int, 
     for k in range(count):
         system.r[k] -= vectors.q[k]
         vectors.p[k] = 0.0
+    return largest_of(vectors, chunks)
 
 
 @ti.kernel
 def descend(
-    system: System, vectors: Vectors, first: bool, count: int, chunks: int, size: int, stride: int
-):
-    """One iteration of conjugate gradients, after z is found from r."""
+    system: System,
+    levels: ti.template(),
+    vectors: Vectors,
+    first: bool,
+    count: int,
+    chunks: int,
+    size: int,
+    stride: int,
+) -> float:
+    """One iteration of preconditioned conjugate gradients; returns the largest |r|."""
+    v_cycle(system, levels)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk = task // stride
@@ -245,6 +266,7 @@ def descend(
                 system.r[k] -= alpha * vectors.q[k]
                 largest = ti.max(largest, ti.abs(system.r[k]))
             vectors.partial[chunk][3] = largest
+    return largest_of(vectors, chunks)
 
 
 @ti.kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import lazy_loader as lazy
@@ -34,6 +33,8 @@ threadpoolctl: Any = lazy.load("threadpoolctl")
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
+    from morph_engine.methods.options import MethodConfig
+    from morph_engine.mpm import Layer, Simulation
 
 COURANT = 0.8
 """What an elastic shear wave travels in a time step, at most [cells]."""
@@ -63,6 +64,12 @@ SETTLING_BEGINS = 0.985
 BAND = 1.5
 """Distances to a surface are exact so far from it [cells]."""
 
+
+MARGIN = 5
+"""The grid extends so far beyond the shapes [cells]."""
+
+EXTENTS = 4
+"""Half the cells along an axis are a multiple of this, so that few grids serve all shapes."""
 
 ENDS = ("source", "target")
 """Of a correspondence."""
@@ -126,7 +133,7 @@ class FlowOptions(MpmOptions):
     settling: Fraction = Field(
         0.02, description="What settling moves particles in all, at most, over the mean path."
     )
-    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
+    rounds: int = Field(1, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
     rest: float = Field(
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
@@ -142,16 +149,16 @@ class Flow(MpmMethod[FlowOptions]):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         config, options, device = problem.config, self.options, self.device
-        dx = cell_edge(options, config.spacing, len(problem.source), len(problem.target))
-        half_extent = math.ceil(config.grid.half_extent / dx) * dx
-        self._grid = mpm.Grid(dx, half_extent, width=4 if options.kernel == "cubic" else 3)
-        volume = np.full(len(problem.source), config.spacing**3)
-        self._simulation = self._make_simulation(volume, transitions=1)
-        # pressure is the projection's: shear alone is left to the material
-        self._simulation.material = replace(self._simulation.material, lame_lambda=0.0)
-        full = options.material.density * dx**3
-        self._projection = flow.Projection(self._grid, full=full)
-        self._settling = flow.Settling(len(problem.source), self._grid, config.spacing)
+        self._grid = grid_of(options, config, problem.source, problem.target)
+        self._simulation = self._make_simulation_in_cells()
+        self._edge = edge = self._grid.dx
+        full = options.material.density * edge**3
+        cells, spacing = self._simulation.grid, config.spacing / edge
+        self._projection = flow.Projection(cells, full=full)
+        self._settling = flow.Settling(len(problem.source), cells, spacing)
+        self._stray_pieces = flow.StrayPieces(
+            [problem.source / edge, problem.target / edge], spacing, self._settling.cells
+        )
         axis = flow.fine_axis(self._grid)
         self._correspondence = self._match()
         found = self._correspondence
@@ -176,9 +183,6 @@ class Flow(MpmMethod[FlowOptions]):
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._wanted = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._moved = device.scalars(len(problem.source))
-        self._stray_pieces = flow.StrayPieces(
-            [problem.source, problem.target], config.spacing, self._settling.cells
-        )
         self._body_frame = -1
         time = options.time
         self._frame_seconds = time.dt * time.transitions_per_frame
@@ -211,14 +215,14 @@ class Flow(MpmMethod[FlowOptions]):
                 )
             steps *= 2
             events.append(restarted(frame, self._frame_seconds / steps, names))
-        last = self._simulation.layers[0]
-        self._matches.rebuild(last.x)
-        self._matches.update(last.x)
         before = self._particles.x
-        self._keep(last, order)
+        self._keep(self._simulation.layers[0], order)
+        positions = self.device.upload(self._particles.x[order])
+        self._matches.rebuild(positions)
+        self._matches.update(positions)
         self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[np.argsort(order), None, None]
         self._path_length += float(np.linalg.norm(self._particles.x - before, axis=1).mean())
-        moved = self._mean_move()
+        moved = self._moved_by_now() * self._edge
         self._settled += moved
         self._speed = float(np.linalg.norm(self._particles.v, axis=1).max())
         numbers = {"correction": moved, "dt": self._simulation.dt}
@@ -233,6 +237,33 @@ class Flow(MpmMethod[FlowOptions]):
         """Take up a state that `state` returned."""
         super().restore(state)
         self._speed, self._path_length, self._settled = state["motion"].tolist()
+
+    def _make_simulation_in_cells(self) -> Simulation:
+        """The simulation, in which lengths are counted in cells of the grid.
+
+        Kernels are compiled for a grid: so those of one pair of shapes serve most others.
+        """
+        options, config, grid = self.options, self.problem.config, self._grid
+        material = options.material
+        cells = mpm.Grid(1.0, round(grid.half_extent / grid.dx), width=grid.width)
+        return mpm.Simulation(
+            np.full(len(self.problem.source), config.spacing**3),
+            grid=cells,
+            material=mpm.Material(
+                model=mpm.MODELS[material.model],
+                lame_lambda=0.0,  # pressure is the projection's: shear alone is left
+                lame_mu=material.lame_mu / grid.dx**2,
+                particle_mass=self._mass,
+                drag=material.drag,
+            ),
+            dt=options.time.dt,
+            transitions=1,
+            domain=min(config.domain / grid.dx, cells.half_extent),
+            largest_cells_per_step=options.watchdog.cells_per_step,
+        )
+
+    def _keep(self, layer: Layer, order: NDArray[np.intp]) -> None:
+        self._particles = layer.download().scaled(self._edge).permuted(np.argsort(order))
 
     def _share(self, frame: int) -> float:
         return ease(frame / ((1 - self.options.rest) * self.problem.config.frames))
@@ -305,12 +336,12 @@ class Flow(MpmMethod[FlowOptions]):
         return [Event(0, "correspondence", message, data)]
 
     def _guide(self, share: float, next_share: float) -> NDArray[Any]:
-        """Velocity that the warp asks of each particle during a frame [dx/s], shape [n, 3]."""
+        """Velocity that the warp asks of each particle in a frame [cells/s], shape [n, 3]."""
         here = self._carried if share == self._carried_share else self._carry(share)
         there = self._carry(next_share)
         pull = np.maximum(RETURN * (1 - share), self._held)
         step = there - here + pull[:, None] * (here - self._particles.x)
-        return (step / self._frame_seconds).astype(self.device.numpy_real)
+        return (step / (self._frame_seconds * self._edge)).astype(self.device.numpy_real)
 
     def _closeness(self, source: NDArray[np.float64]) -> NDArray[np.float64]:
         """How close particles are to a landmark, 1 at it, shape [n]: these follow the warp."""
@@ -340,7 +371,7 @@ class Flow(MpmMethod[FlowOptions]):
     def _upload_body(self, slot: int, share: float, following: float) -> None:
         body = self._bodies.at(share, following)
         real = self.device.numpy_real
-        self._levels[slot].from_numpy(body.level.ravel().astype(real))
+        self._levels[slot].from_numpy((body.level.ravel() / self._edge).astype(real))
         self._masses[slot].from_numpy(body.mass.ravel().astype(real))
 
     def _steps(self) -> int:
@@ -354,13 +385,13 @@ class Flow(MpmMethod[FlowOptions]):
     def _flow(self, order: NDArray[np.intp], steps: int, share: float, next_share: float) -> int:
         """Make the time steps of a frame from the state kept; returns fault bits."""
         simulation, options = self._simulation, self.options
-        simulation.layers[0].upload(self._particles.permuted(order))
+        simulation.layers[0].upload(self._particles.permuted(order).scaled(1 / self._edge))
         simulation.dt = self._frame_seconds / steps
         simulation.clear_faults()
         self._projection.forget()
         self._moved.fill(0)
         self._volume_ratio.fill(1)
-        depth = options.depth * self.problem.config.spacing
+        depth = options.depth * self.problem.config.spacing / self._edge
         momentum = options.momentum ** (1 / steps)
         gain = 1 - (1 - options.gain) ** (STEPS / steps)
         memory = options.memory * (1 - share)
@@ -374,7 +405,8 @@ class Flow(MpmMethod[FlowOptions]):
             flow.prepare(
                 flow.LayerArrays(x=here.x, v=here.v, C=here.C, F=here.F),
                 self._volume_ratio, self._guidance, *self._levels, part,
-                depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt, self._grid,
+                depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt,
+                simulation.grid,
             )  # fmt: skip
             nodes = simulation.transitions[0].nodes
             flow.clear(nodes)
@@ -402,9 +434,9 @@ class Flow(MpmMethod[FlowOptions]):
             share, (SETTLING_BEGINS, 1), (options.separation, options.final_separation)
         )
         spacing = self._spacing(share)
-        allowed = options.settling * self._path_length - self._settled
+        allowed = (options.settling * self._path_length - self._settled) / self._edge
         for rounds in range(quarters * options.rounds, (quarters - 1) * options.rounds, -1):
-            left = (allowed - self._mean_move()) / rounds
+            left = (allowed - self._moved_by_now()) / rounds
             if left <= 0:
                 break
             self._settling.settle(
@@ -412,28 +444,36 @@ class Flow(MpmMethod[FlowOptions]):
             )
 
     def _spacing(self, share: float) -> float:
-        """Lattice spacing of the particles at a share of the way [dx]."""
+        """Lattice spacing of the particles at a share of the way [cells]."""
         first, last = self._path.volumes
-        return float(np.cbrt(1 - share + share * last / first)) * self.problem.config.spacing
+        growth = float(np.cbrt(1 - share + share * last / first))
+        return growth * self.problem.config.spacing / self._edge
 
-    def _mean_move(self) -> float:
-        """What particles were moved in this frame beside the flow, on average [dx]."""
+    def _moved_by_now(self) -> float:
+        """What particles were moved in this frame beside the flow, on average [cells]."""
         return float(self._moved.to_numpy().mean(dtype=np.float64))
 
 
-def cell_edge(options: FlowOptions, spacing: float, source_count: int, target_count: int) -> float:
-    """Edge of a grid cell [dx]; kernels are compiled for each.
+def grid_of(
+    options: FlowOptions, config: MethodConfig, source: NDArray[Any], target: NDArray[Any]
+) -> mpm.Grid:
+    """The grid of the flow [dx].
 
-    Cells are larger where particles end, or begin, farther apart.
+    Its cells are larger where particles end, or begin, farther apart. It holds a ball around the
+    shapes, in which they may turn, or the domain.
 
     Args:
         options: Of the method.
-        spacing: h, of the source's particles [dx].
-        source_count: Number of particles.
-        target_count: Number of target points.
+        config: The configuration they are in.
+        source: Particles [dx], shape [n, 3].
+        target: Target points [dx], shape [m, 3].
     """
-    ratio = float(np.cbrt(target_count / source_count))
-    return options.cell * spacing * max(ratio, math.sqrt(ratio))
+    ratio = float(np.cbrt(len(target) / len(source)))
+    edge = options.cell * config.spacing * max(ratio, math.sqrt(ratio))
+    radius = max(float(np.linalg.norm(points, axis=1).max()) for points in (source, target))
+    wanted = min(radius / edge + MARGIN, config.grid.half_extent / edge)
+    extent = math.ceil(wanted / EXTENTS) * EXTENTS
+    return mpm.Grid(edge, extent * edge, width=4 if options.kernel == "cubic" else 3)
 
 
 def _arrays(found: flow.Correspondence) -> kept_results.Arrays:

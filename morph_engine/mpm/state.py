@@ -43,6 +43,10 @@ class Particles:
         """The same particles in another order."""
         return Particles(self.x[order], self.v[order], self.C[order], self.F[order])
 
+    def scaled(self, factor: float) -> "Particles":
+        """The same particles in another unit of length, of which one dx has so many."""
+        return Particles(self.x * factor, self.v * factor, self.C, self.F)
+
 
 class Layer:
     """Device arrays of one time level: x, v, C, F as in `Particles`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections import Counter as Counts
 from typing import Literal
 
 from fastapi import APIRouter, Request, Response
@@ -12,10 +13,14 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import is_disk_full, unavailable
+from chamfer_morph.server.routes.workers import worker_statuses
 
 router: APIRouter = APIRouter(tags=["health"])
+
+WORKER_STATES = ("busy", "idle", "paused", "dead")
 
 
 class Health(BaseModel):
@@ -46,6 +51,12 @@ class Metrics:
             "morph_requests_open", "Requests under way.", registry=self.registry
         )
         self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
+        self.workers: Gauge = Gauge(
+            "morph_workers",
+            "Worker slots: busy, idle, paused, or dead.",
+            ("state",),
+            registry=self.registry,
+        )
         self.queue_age: Gauge = Gauge(
             "morph_queue_age_seconds",
             "Age of the job that waits longest [s].",
@@ -59,6 +70,12 @@ class Metrics:
         self.streams: Gauge = Gauge(
             "morph_event_streams", "Open event streams.", registry=self.registry
         )
+
+
+def _state(worker: WorkerStatus) -> str:
+    if not worker.alive:
+        return "dead"
+    return "busy" if worker.job else "paused" if worker.paused else "idle"
 
 
 class MetricsMiddleware:
@@ -125,10 +142,13 @@ def readyz(context: Context) -> Health:
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 def metrics(request: Request, context: Context) -> Response:
-    """Requests, their times, jobs by state and open streams, in Prometheus's text format."""
+    """Requests, their times, jobs, workers and open streams, in Prometheus's text format."""
     metrics: Metrics = request.app.state.metrics
     for state, count in context.queue.counts().items():
         metrics.jobs.labels(state.value).set(count)
+    workers = Counts(map(_state, worker_statuses(context)))
+    for name in WORKER_STATES:
+        metrics.workers.labels(name).set(workers[name])
     since = context.queue.waiting_since()
     metrics.queue_age.set(max(time.time() - since.timestamp(), 0) if since else 0)
     metrics.disk_free.set(shutil.disk_usage(context.storage.root).free)

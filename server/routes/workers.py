@@ -19,8 +19,7 @@ router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=A
 @router.get("", operation_id="listWorkers", summary="List worker slots")
 def list_workers(caller: Admin, context: Context) -> list[WorkerStatus]:
     """All slots that have ever worked on this storage."""
-    running = context.queue.running()
-    return [_show(name, running, context) for name in slots.names(context.settings.data_dir)]
+    return worker_statuses(context)
 
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
@@ -37,6 +36,12 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
     _check(worker_id, context)
     slots.unpause(context.settings.data_dir, worker_id)
     return _show(worker_id, context.queue.running(), context)
+
+
+def worker_statuses(context: ServerContext) -> list[WorkerStatus]:
+    """What each slot does."""
+    running = context.queue.running()
+    return [_show(name, running, context) for name in slots.names(context.settings.data_dir)]
 
 
 def _check(worker_id: str, context: ServerContext) -> None:

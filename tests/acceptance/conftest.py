@@ -25,6 +25,9 @@ from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
 from morph_engine.results.trajectory import Trajectory
 
+PATIENCE = 600.0
+"""What a wait gives up after [s]: long, for both cores may have other work."""
+
 FRAMES = 30
 """Frames of a small job; each takes about a tenth of a second."""
 
@@ -98,7 +101,9 @@ class Cluster:
         events = self.storage.events(job_id).read()
         return [event.data["frame"] for event in events if event.type == "frame"]
 
-    def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = 60) -> float:
+    def wait_until(
+        self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE
+    ) -> float:
         """Wait for a condition; returns how long it took [s]."""
         start = time.monotonic()
         while not condition():
@@ -112,7 +117,9 @@ class Cluster:
         """Wait until a frame is finished."""
         self.wait_until(lambda: frame in self.frames(job_id), f"frame {frame} of {job_id}")
 
-    def wait_for_state(self, job_id: str, *states: JobState, seconds: float = 60) -> JobRecord:
+    def wait_for_state(
+        self, job_id: str, *states: JobState, seconds: float = PATIENCE
+    ) -> JobRecord:
         """Wait until a job is in one of some states."""
         self.wait_until(lambda: self.job(job_id).state in states, f"{job_id} in {states}", seconds)
         return self.job(job_id)
@@ -205,7 +212,7 @@ def cluster(new_cluster: Callable[..., Cluster], database_url: str) -> Cluster:
 
 
 def make_cluster(data_dir: Path, database_url: str) -> Cluster:
-    """A cluster without processes, quick to notice things."""
+    """A cluster without processes, quick to notice things, without spare engines."""
     values = {
         "data_dir": str(data_dir),
         "database_url": database_url,
@@ -213,6 +220,7 @@ def make_cluster(data_dir: Path, database_url: str) -> Cluster:
         "retry_seconds": "0.2",
         "adoption_seconds": "0.5",
         "threads": "1",
+        "warm_engines": "false",
     }
     own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
     variables = {f"MORPH_{name.upper()}": value for name, value in values.items()}

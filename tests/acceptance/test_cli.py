@@ -17,7 +17,7 @@ from morph_engine.geometry.shapes import names
 MORPH = Path(sys.executable).with_name("morph")
 
 
-def morph(*arguments, cwd=None, timeout=120):
+def morph(*arguments, cwd=None, timeout=600):
     """Run the command and capture what it prints."""
     return subprocess.run(
         [MORPH, *map(str, arguments)], cwd=cwd, timeout=timeout, capture_output=True, text=True

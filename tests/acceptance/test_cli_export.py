@@ -47,7 +47,7 @@ def result(tmp_path_factory):
 def morph(*arguments, cwd):
     """Run the command and capture what it prints."""
     return subprocess.run(
-        [MORPH, *map(str, arguments)], cwd=cwd, timeout=120, capture_output=True, text=True
+        [MORPH, *map(str, arguments)], cwd=cwd, timeout=600, capture_output=True, text=True
     )
 
 
@@ -109,6 +109,6 @@ def test_an_interrupted_export_leaves_nothing(tmp_path_factory, tmp_path):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    assert b"Stopped by Ctrl-C" in process.communicate(timeout=30)[1]
+    assert b"Stopped by Ctrl-C" in process.communicate(timeout=120)[1]
     assert process.returncode == 130
     assert list(tmp_path.iterdir()) == []

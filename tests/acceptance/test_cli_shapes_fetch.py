@@ -45,7 +45,7 @@ def morph(*arguments, home, **more):
     """Run the command to its end and capture what it prints."""
     return subprocess.run(
         [MORPH, *map(str, arguments)],
-        cwd=home, env=environment(home, **more), capture_output=True, text=True, timeout=120,
+        cwd=home, env=environment(home, **more), capture_output=True, text=True, timeout=600,
     )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def test_a_killed_download_is_resumed_by_the_same_command(web, sums, tmp_path):
             assert time.monotonic() < deadline
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        assert "what has arrived is kept" in process.communicate(timeout=30)[1]
+        assert "what has arrived is kept" in process.communicate(timeout=120)[1]
         assert process.returncode == 130
         arrived = part.stat().st_size
         assert 0 < arrived <= 100_000

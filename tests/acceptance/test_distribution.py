@@ -154,7 +154,7 @@ class Installation:
         """Run a command to its end; what it prints."""
         outcome = subprocess.run(
             self.command(*arguments),
-            cwd=self.cwd, env=self.environment, timeout=300, capture_output=True, text=True,
+            cwd=self.cwd, env=self.environment, timeout=600, capture_output=True, text=True,
         )  # fmt: skip
         assert outcome.returncode == 0, (arguments, outcome.stderr)
         self.require_no_foreign_imports()

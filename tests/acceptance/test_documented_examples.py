@@ -211,7 +211,7 @@ def run(command, folder):
         command,
         cwd=folder,
         env=os.environ | {"PATH": path},
-        timeout=300,
+        timeout=600,
         capture_output=True,
         text=True,
     )

@@ -26,7 +26,7 @@ def run(script, *arguments, cwd):
     outcome = subprocess.run(
         [sys.executable, EXAMPLES / script, *arguments],
         cwd=cwd,
-        timeout=300,
+        timeout=600,
         capture_output=True,
         text=True,
     )
@@ -65,7 +65,7 @@ def test_own_method_shows_up_everywhere_once_it_is_installed(tmp_path):
     subprocess.run(
         [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation",
          "--target", installed, EXAMPLES / "own_method"],
-        check=True, timeout=300,
+        check=True, timeout=600,
     )  # fmt: skip
     knows_it = os.environ | {"PYTHONPATH": str(installed)}
     require_method("sorted", "Particles walk to target points", "slabs", knows_it, tmp_path)
@@ -95,7 +95,7 @@ def test_a_method_is_one_file(tmp_path):
 def morph(*arguments, cwd, env):
     """Run a command of `morph`; what it prints."""
     command = [sys.executable, "-m", "chamfer_morph", *arguments]
-    outcome = subprocess.run(command, cwd=cwd, env=env, timeout=300, capture_output=True, text=True)
+    outcome = subprocess.run(command, cwd=cwd, env=env, timeout=600, capture_output=True, text=True)
     assert outcome.returncode == 0, outcome.stderr
     return outcome.stdout
 

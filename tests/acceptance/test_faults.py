@@ -29,6 +29,7 @@ pytestmark = [
 
 def test_worker_killed_and_restarted(cluster, undisturbed):
     """A worker that comes back takes up its job after the last frame."""
+    cluster.environment["MORPH_WARM_ENGINES"] = "true"
     worker = cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 3)
@@ -40,6 +41,7 @@ def test_worker_killed_and_restarted(cluster, undisturbed):
 
 def test_all_killed_at_once(cluster, undisturbed):
     """Workers, engines and janitor die together; what starts afterwards finishes everything."""
+    cluster.environment["MORPH_WARM_ENGINES"] = "true"
     slots = [cluster.worker(0), cluster.worker(1)]
     jobs = [cluster.submit() for _ in range(3)]
     janitor = cluster.start("janitor")

@@ -14,13 +14,24 @@ from chamfer_morph.schemas import JobState
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
 READY_SECONDS = 1.0
-"""A spare process that has slept for so long waits for a job."""
+"""A spare process whose threads have all slept for so long waits for a job."""
 
 
 @pytest.fixture
 def cluster(new_cluster):
-    """An empty cluster: engine processes know of no database."""
-    return new_cluster("")
+    """An empty cluster with spare engines: engine processes know of no database."""
+    cluster = new_cluster("")
+    cluster.environment["MORPH_WARM_ENGINES"] = "true"
+    return cluster
+
+
+def sleeps(process: psutil.Process) -> bool:
+    """Whether all threads of a process wait for something."""
+    try:
+        threads = [psutil.Process(thread.id) for thread in process.threads()]
+        return all(thread.status() == psutil.STATUS_SLEEPING for thread in threads)
+    except psutil.NoSuchProcess:  # a thread has ended meanwhile
+        return False
 
 
 def spare_of(cluster, worker) -> psutil.Process:
@@ -30,11 +41,11 @@ def spare_of(cluster, worker) -> psutil.Process:
 
     def is_ready() -> bool:
         nonlocal awake
-        if spare.status() != psutil.STATUS_SLEEPING:
+        if not sleeps(spare):
             awake = time.monotonic()
         return time.monotonic() - awake > READY_SECONDS
 
-    cluster.wait_until(is_ready, "the spare engine to be ready", 180)
+    cluster.wait_until(is_ready, "the spare engine to be ready")
     return spare
 
 

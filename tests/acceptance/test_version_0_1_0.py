@@ -21,6 +21,6 @@ def test_stored_jobs_are_computed(new_cluster: Callable[[str], Any], version_0_1
     jobs = {record.name: record for record in cluster.queue.newest()}
     assert jobs["queued"].spec.config.method.destinations == "random"
     cluster.worker()
-    cluster.wait_for_state(jobs["queued"].id, JobState.SUCCEEDED, seconds=180)
+    cluster.wait_for_state(jobs["queued"].id, JobState.SUCCEEDED)
     cluster.queue.resume(jobs["cancelled"].id)
-    cluster.wait_for_state(jobs["cancelled"].id, JobState.SUCCEEDED, seconds=180)
+    cluster.wait_for_state(jobs["cancelled"].id, JobState.SUCCEEDED)

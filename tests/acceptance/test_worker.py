@@ -17,7 +17,7 @@ def test_from_the_queue_to_the_result_on_another_worker(cluster, undisturbed):
     workers = [cluster.worker(slot) for slot in (0, 1)]
     cluster.start("janitor")
     for job in [cluster.submit(frames=1) for _ in range(2)]:  # all are there and warm
-        cluster.wait_for_state(job, JobState.SUCCEEDED, seconds=120)
+        cluster.wait_for_state(job, JobState.SUCCEEDED)
     job = cluster.submit()
     cluster.wait_for_frame(job, 2)
     dead = [executor_id(slot) for slot in (0, 1)].index(cluster.job(job).executor)

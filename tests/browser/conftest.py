@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WEB = ROOT / "server" / "web"
 AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
 
-PATIENCE = 60_000
+PATIENCE = 180_000
 """How long a page may take for anything [ms]; a first job compiles its kernels."""
 
 START_SECONDS = 180

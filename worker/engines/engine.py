@@ -24,30 +24,30 @@ class Engine:
 
     Args:
         threads: CPU threads that it computes with.
-        cell: Edge of the grid cells that its job will probably have [dx].
+        extent: Half the cells along an axis of the grid that its job will probably have.
         log: Where it writes messages before it has a job; those of this process if not given.
 
     Attributes:
         pid: Its process id.
         outcome: What its job has left, once it is done.
         problem: Why it has refused its job, if so.
-        cell: Edge of the grid cells that its job has [dx], once it has said so.
+        extent: Half the cells along an axis of its job's grid, once it has said so.
         frames: Frames that it has finished.
         last_message_at: When it said something last, a time of `time.monotonic`.
         peak_memory: The most memory that it was seen to use [bytes].
     """
 
     def __init__(
-        self, threads: int, *, cell: float | None = None, log: IO[bytes] | None = None
+        self, threads: int, *, extent: int | None = None, log: IO[bytes] | None = None
     ) -> None:
         self.outcome: Outcome | None = None
         self.problem: Problem | None = None
-        self.cell: float | None = None
+        self.extent: int | None = None
         self.frames: int = 0
         self.last_message_at: float = time.monotonic()
         self.peak_memory: int = 0
         self._device: str | None = None  # once it is ready
-        arguments = [str(threads), *([repr(cell)] if cell else [])]
+        arguments = [str(threads), *([str(extent)] if extent else [])]
         self._process = subprocess.Popen(
             python_command("chamfer_morph.worker.engine_process", *arguments),
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
@@ -116,7 +116,7 @@ class Engine:
             case "ready":
                 self._device = message["data"]["device"]
             case "started":
-                self.cell = message["data"]["cell"]
+                self.extent = message["data"]["extent"]
             case "frame":
                 self.frames += 1
             case "done":

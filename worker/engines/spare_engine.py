@@ -47,7 +47,9 @@ class SpareEngine:
                 self._spare, self._start_at = None, time.monotonic() + PAUSE_SECONDS
             waited_for = self._taken and not self._taken.frames and not self._taken.ended
             if not self._spare and not waited_for and time.monotonic() >= self._start_at:
-                self._spare = Engine(self._threads, cell=self._taken.cell if self._taken else None)
+                self._spare = Engine(
+                    self._threads, extent=self._taken.extent if self._taken else None
+                )
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
         """A process for a job: the spare one if it is ready for that, or else a new one."""

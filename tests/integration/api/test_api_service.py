@@ -47,7 +47,7 @@ class Service:
     http: httpx.Client
     data: Path
 
-    def wait(self, job: str, *states: str, seconds: float = 90) -> dict[str, Any]:
+    def wait(self, job: str, *states: str, seconds: float = 600) -> dict[str, Any]:
         """The job, once it is in one of these states."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
@@ -74,7 +74,7 @@ def service(database_url: str, tmp_path: Path) -> Iterator[Service]:
     """The service with one worker slot, on SQLite and on Postgres."""
     environment = os.environ | {
         "MORPH_DATA_DIR": str(tmp_path / "data"), "MORPH_DATABASE_URL": database_url,
-        "MORPH_PORT": "0", "MORPH_WORKERS": "1",
+        "MORPH_PORT": "0", "MORPH_WORKERS": "1", "MORPH_WARM_ENGINES": "false",
     }  # fmt: skip
     process = subprocess.Popen(
         [sys.executable, "-m", "chamfer_morph.server", "serve"],
@@ -133,7 +133,7 @@ def test_a_morph_from_submit_to_result(service: Service, tmp_path: Path) -> None
 
     long = service.http.post("/v1/jobs", json=JOB | {"frames": 400}).json()["id"]
     service.wait(long, "running")
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 600
     while service.http.get(f"/v1/jobs/{long}").json()["progress"]["frame"] < 2:
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -207,7 +207,7 @@ def _repeated(send: Callable[[], httpx.Response]) -> httpx.Response:
         time.sleep(0.1)
 
 
-def _until(condition: Callable[[], bool], seconds: float = 10) -> None:
+def _until(condition: Callable[[], bool], seconds: float = 300) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"

@@ -1,0 +1,78 @@
+"""A name for every request, and a line in the log for every request that may change something.
+
+The name comes back in the header `X-Request-ID`. A caller, or a proxy, may give one of its own, so
+that its log and ours can be laid side by side.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import time
+import uuid
+from datetime import datetime, timezone
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+HEADER = "X-Request-ID"
+
+GIVEN = re.compile(r"[\w.:-]{1,64}", re.ASCII)
+"""Names of callers that are taken as they are: nothing in them can break a line of the log."""
+
+READING = ("GET", "HEAD", "OPTIONS")
+
+PATH_SHOWN = 200
+"""Letters of a path that are logged: addresses may be much longer."""
+
+_log: logging.Logger = logging.getLogger("chamfer_morph.audit")
+
+
+class AuditMiddleware:
+    """Names requests, and logs those that may change something once they are answered.
+
+    A line is one JSON object: `time` in UTC, `request`, `key` (empty without one), `operation`,
+    `method`, `path`, `status`, and `seconds` until the answer began. A refused request has a line,
+    too; a status of 0 says that nothing was answered. No line has a body, a query or a secret.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        given = Headers(scope=scope).get(HEADER, "")
+        name = given if GIVEN.fullmatch(given) else uuid.uuid4().hex
+        begun, status, seconds = time.perf_counter(), 0, 0.0
+
+        async def send_named(message: Message) -> None:
+            nonlocal status, seconds
+            if message["type"] == "http.response.start":
+                status, seconds = message["status"], time.perf_counter() - begun
+                MutableHeaders(scope=message)[HEADER] = name
+            await send(message)
+
+        try:
+            await self.app(scope, receive, send_named)
+        finally:
+            if scope["method"] not in READING:
+                _log.info(json.dumps(_line(scope, name, status, seconds)))
+
+
+def _line(scope: Scope, name: str, status: int, seconds: float) -> dict[str, Any]:
+    caller = scope.get("state", {}).get("caller")
+    return {
+        "time": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+        "request": name,
+        "key": caller.name if caller else "",
+        "operation": getattr(scope.get("route"), "operation_id", None) or "",
+        "method": scope["method"],
+        "path": scope["path"][:PATH_SHOWN],
+        "status": status,
+        "seconds": round(seconds, 4),
+    }

@@ -1,0 +1,83 @@
+"""Who has changed what: a line for each request that may change something."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from chamfer_morph.worker import slots
+from chamfer_morph.worker.locks import try_lock
+from tests.integration.api.conftest import MORPH, Api
+
+ADDRESS = "/v1/jobs/no-such-job"
+
+
+@pytest.fixture
+def lines(caplog: pytest.LogCaptureFixture) -> Iterator[list[dict[str, Any]]]:
+    """What is logged, as it comes."""
+
+    class Lines(list[dict[str, Any]]):
+        def __iter__(self) -> Iterator[dict[str, Any]]:
+            audit = (r for r in caplog.records if r.name == "chamfer_morph.audit")
+            return (json.loads(record.getMessage()) for record in audit)
+
+    caplog.set_level(logging.INFO, "chamfer_morph.audit")
+    yield Lines()
+
+
+def test_changes_are_logged_with_key_and_name(api: Api, lines: list[dict[str, Any]]) -> None:
+    """Reading is not; a refusal is; secrets and queries are in no line."""
+    made = api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]})
+    secret = {"Authorization": f"Bearer {made.json()['secret']}"}
+    job = api.http.post("/v1/jobs?x=secret", json=MORPH, headers=secret).json()["id"]
+    assert api.http.get(f"/v1/jobs/{job}", headers=secret).status_code == 200
+    cancelled = api.http.post(
+        f"/v1/jobs/{job}/cancel", headers=secret | {"X-Request-ID": "click-7"}
+    )
+    assert cancelled.headers["X-Request-ID"] == "click-7"
+    refused = api.http.delete(ADDRESS)
+    logged = [(line["operation"], line["key"], line["status"]) for line in lines]
+    assert logged == [
+        ("makeKey", "", 201), ("submitJob", "root", 202), ("cancelJob", "root", 202),
+        ("deleteJob", "", 401),
+    ]  # fmt: skip
+    last = list(lines)[-1]
+    assert last["request"] == refused.headers["X-Request-ID"]
+    assert last["path"] == ADDRESS and last["method"] == "DELETE" and last["seconds"] >= 0
+    assert list(lines)[2]["request"] == "click-7"
+    text = json.dumps(list(lines))
+    assert made.json()["secret"] not in text and "secret" not in text
+
+
+@pytest.mark.parametrize("given", ["two words", "x" * 65, '"}', "a\tb"])
+def test_a_name_that_could_break_a_line_is_replaced(api: Api, given: str) -> None:
+    """Every request has a name of its own."""
+    names = {
+        api.http.get("/livez", headers={"X-Request-ID": given}).headers["X-Request-ID"]
+        for _ in range(2)
+    }
+    assert len(names) == 2 and given not in names
+
+
+def test_long_paths_are_cut(api: Api, lines: list[dict[str, Any]]) -> None:
+    """However long an address is, its line is short."""
+    assert api.http.delete("/v1/jobs/" + "x" * 5000).status_code == 404
+    assert [len(json.dumps(line)) < 600 for line in lines] == [True]
+
+
+def test_worker_slots_are_counted(api: Api) -> None:
+    """A slot that nobody holds is dead."""
+    figures = api.http.get("/metrics").text
+    assert 'morph_workers{state="dead"} 0.0' in figures
+    slots.register(api.settings.data_dir, "elsewhere-slot0")
+    lock = try_lock(api.settings, "elsewhere-slot0")
+    assert lock is not None
+    try:
+        assert 'morph_workers{state="idle"} 1.0' in api.http.get("/metrics").text
+    finally:
+        lock.release()
+    assert 'morph_workers{state="dead"} 1.0' in api.http.get("/metrics").text

@@ -1,0 +1,38 @@
+"""What is made ready before there is a run is what the run needs."""
+
+import numpy as np
+import pytest
+
+from morph_engine.methods.flow import FlowOptions, grid_of
+from morph_engine.morphing import prepare
+from morph_engine.presets import configure
+from morph_engine.warm_up import extent_of, small_run
+
+
+@pytest.mark.parametrize("extent", [16, 24, 32, 48, 80])
+def test_the_small_run_has_the_grid_that_is_guessed(extent: int) -> None:
+    """Its kernels are those of runs with grids of that extent."""
+    record = prepare("sphere", "sphere", small_run(extent))
+    assert extent_of(record) == extent
+
+
+def test_grids_of_many_pairs_are_few() -> None:
+    """Pairs of other counts and sizes have cells of other edges, and few extents."""
+    config = configure()
+    assert isinstance(config.method, FlowOptions)
+    edges, extents = set(), set()
+    for count in range(1000, 3000, 100):
+        source, target = np.full((2000, 3), 4.0), np.full((count, 3), 6.0 + count / 1000)
+        grid = grid_of(config.method, config, source, target)
+        edges.add(grid.dx)
+        extents.add(grid.half_extent / grid.dx)
+        assert grid.half_extent >= min(np.linalg.norm(target[0]), config.grid.half_extent)
+    assert len(edges) == 20
+    assert len({round(extent, 6) for extent in extents}) <= 4
+    assert all(round(extent) % 4 == 0 for extent in extents)
+
+
+def test_other_methods_have_no_guess() -> None:
+    """Their grids follow from their settings."""
+    record = prepare("sphere", "sphere", configure(overrides={"method": "physics", "frames": 1}))
+    assert extent_of(record) is None
