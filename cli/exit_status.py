@@ -11,7 +11,7 @@ from importlib import metadata
 
 import typer
 
-from chamfer_morph.cli.output import error_document, print_json
+from chamfer_morph.cli.output import error_document, in_flags, print_json
 from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError
 
@@ -50,7 +50,7 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         problem, status = _program_fault(error), UNEXPECTED
     if as_json:
         print_json(error_document(problem))
-    sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
+    sys.stderr.write(f"{problem.cause}\n{in_flags(problem.remedy)}\n")
     return status
 
 

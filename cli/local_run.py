@@ -77,6 +77,8 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
         interrupt.at_interrupt(stop),
         RunDisplay(last + 1, quiet=execution.quiet) as display,
     ):
+        if record.placement.message:
+            display.print(f"{record.placement.message} --fit none leaves shapes as they are.")
         frames = morphing.run(
             record,
             device=execution.device,

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     from chamfer_morph.client import MorphClient
 
 SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
-FIT_HELP = "Scale to the usual volume, to touch the domain, or keep the file's coordinates."
+FIT_HELP = (
+    "Scale and centre shapes where they need it (auto), each to the usual volume, each to touch "
+    "the domain, or never."
+)
 
-Fit = Literal["volume", "extent", "none"]
+Fit = Literal["auto", "volume", "extent", "none"]
 
 TargetArgument = Annotated[str, typer.Argument(metavar="TARGET", help="What it is to become.")]
 MethodOption = Annotated[str | None, typer.Option(help="See morph methods.")]

@@ -8,6 +8,14 @@ from collections.abc import Callable
 
 from morph_engine.errors import MorphError
 
+FLAGS = {
+    **{name: f"--{name}" for name in ("device", "frames", "out", "resume", "snap", "surface")},
+    "points_per_cell_edge": "--points-per-cell-edge",
+    "sampling.points_per_cell_edge": "--points-per-cell-edge",
+    "sampling.fit": "--fit",
+}
+"""Options by the parameter or setting that errors of the library name."""
+
 
 def print_result(document: object, text: str | Callable[[], None], *, as_json: bool) -> None:
     """Print what a command has come to: all of it as JSON, or else text or what prints that."""
@@ -22,7 +30,14 @@ def print_result(document: object, text: str | Callable[[], None], *, as_json: b
 
 def error_document(error: MorphError) -> dict[str, dict[str, str]]:
     """An error as the JSON that every command prints for it."""
-    return {"error": {"cause": error.cause, "remedy": error.remedy}}
+    return {"error": {"cause": error.cause, "remedy": in_flags(error.remedy)}}
+
+
+def in_flags(text: str) -> str:
+    """A remedy in which the names of parameters and settings, in backticks, are options."""
+    for name, flag in FLAGS.items():
+        text = text.replace(f"`{name}`", flag)
+    return text
 
 
 def print_json(document: object) -> None:

@@ -68,7 +68,8 @@ class RunDisplay(ProgressDisplay):
     def show(self, frame: Frame) -> None:
         """Show a finished frame."""
         for event in frame.events:
-            self.print(event.message)
+            if event.kind != "placement":  # told before the first frame
+                self.print(event.message)
         self.advance(frame.index, frame.metrics, frame.seconds)
 
     def describe(self, text: str, *, done: int | None = None) -> None:

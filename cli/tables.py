@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from chamfer_morph.cli.output import in_flags
 from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ def print_report(report: IngestReport) -> None:
                 for resolution in report.resolutions
             ),
         )
+    if report.placement:
+        sys.stdout.write(f"\n{report.placement}\n")
     for warning in report.warnings:
         sys.stdout.write(f"\n{warning}\n")
 
@@ -232,7 +235,7 @@ def print_job(job: Job) -> None:
             ("cost", _cost(job.outcome)),
         ]
     if job.problem:
-        rows += [("cause", job.problem.cause), ("remedy", job.problem.remedy)]
+        rows += [("cause", job.problem.cause), ("remedy", in_flags(job.problem.remedy))]
     print_table(("job", job.id), [row for row in rows if row[1]])
 
 
@@ -246,7 +249,7 @@ def print_outcome(job: Job) -> None:
     if job.outcome is None:
         sys.stdout.write(f"{job.id} {_state(job)}\n")
         if job.problem:
-            sys.stdout.write(f"{job.problem.cause}\n{job.problem.remedy}\n")
+            sys.stdout.write(f"{job.problem.cause}\n{in_flags(job.problem.remedy)}\n")
         return
     metrics = job.outcome.metrics
     print_metrics({name: metrics[name] for name in HEADLINE if name in metrics})

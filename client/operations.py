@@ -300,7 +300,7 @@ class Operations:
             job_id: The job, which may still run.
             index: Frame, 0-based; -1 is the last one finished.
             format: glb, ply, obj or stl.
-            units: The coordinates of the target's file, or grid units.
+            units: Coordinates of the files (user), of one of them, or grid units.
         """
         path = _path("jobs", job_id, "frames", str(index), "surface")
         answer = await self._connection.get(
@@ -336,7 +336,7 @@ class Operations:
                 holds one a file come as a zip archive.
             surface: A surface around the particles in their place.
             snap: Draw the surface of the first and last frames to the meshes of both shapes.
-            units: The coordinates of the target's file, or grid units.
+            units: Coordinates of the files (user), of one of them, or grid units.
             fields: Names of fields to carry along.
 
         Raises:

@@ -121,7 +121,7 @@ def start(
     if precision == "float64" and wanted.device in ("metal", "vulkan"):
         raise DeviceError(
             f"The device {wanted.device} does not compute in float64.",
-            "Use --device cpu or cuda, or float32.",
+            "Set `device` to cpu or cuda, or use float32.",
         )
     kernel_loading.shorten()
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}

@@ -253,7 +253,7 @@ def _fill(mesh: Mesh, spacing: float) -> npt.NDArray[np.float32]:
     try:
         return sample_lattice(mesh, spacing=spacing, minimum_count=1)
     except MeshError as error:  # its remedies are those of a run
-        remedy = "Change the lattice spacing (--points-per-cell-edge), or scale both shapes."
+        remedy = "Change the lattice spacing (`points_per_cell_edge`), or scale both shapes."
         raise MeshError(error.cause, remedy) from error
 
 

@@ -8,10 +8,13 @@ from pydantic import BaseModel, Field
 from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.placement import Solid, place, placed
 from morph_engine.geometry.sampling import (
+    FIT_REMEDY,
     HALF_EXTENT,
     MINIMUM_PARTICLES,
     REFERENCE_VOLUME,
+    Fit,
     sample_lattice,
 )
 from morph_engine.geometry.topology import Opening, Topology, Vector
@@ -56,15 +59,31 @@ class IngestReport(BaseModel, frozen=True):
     volume: float = Field(description="Enclosed volume; overlapping parts count twice")
     bounds: tuple[Vector, Vector] = Field(description="Corners of the bounding box")
     fits_domain: bool = Field(description="Lies in the usable cube as it is")
-    resolutions: tuple[Resolution, ...] = Field(description="Empty unless the mesh can be used")
+    resolutions: tuple[Resolution, ...] = Field(
+        description="Empty unless the mesh can be used, placed in the domain as was asked for"
+    )
+    placement: str = Field(description="How it was placed for that; empty where it stays")
     warnings: tuple[str, ...]
 
 
-def inspect_mesh(mesh: Mesh) -> IngestReport:
-    """Describe a mesh in grid units. Whether it can be used is for `check_mesh` to say."""
+def fitted(mesh: Mesh, fit: Fit) -> tuple[Mesh, str]:
+    """A mesh as a run between shapes like it places it, and what `auto` does to it in words."""
+    solid = Solid.of(mesh)
+    placement = place(solid, solid, fit=fit)
+    return placed(mesh, placement.source), placement.message
+
+
+def inspect_mesh(mesh: Mesh, *, fit: Fit = "auto") -> IngestReport:
+    """Describe a mesh. Whether it can be used is for `check_mesh` to say.
+
+    Args:
+        mesh: Mesh in its own coordinates.
+        fit: How a run would place it, as `sampling.fit`; its resolutions are those of that.
+    """
+    in_domain, message = fitted(mesh, fit)
     topology = Topology(mesh.vertices, mesh.faces)
     ambiguous = ambiguous_winding(mesh)
-    usable = _problem(mesh, ambiguous, HALF_EXTENT) is None
+    usable = _problem(in_domain, ambiguous, HALF_EXTENT) is None
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
@@ -86,7 +105,8 @@ def inspect_mesh(mesh: Mesh) -> IngestReport:
         volume=mesh.volume,
         bounds=(tuple(lower), tuple(upper)),
         fits_domain=_fits(mesh, HALF_EXTENT),
-        resolutions=tuple(_resolution(mesh, n) for n in POINTS_PER_CELL_EDGE if usable),
+        resolutions=tuple(_resolution(in_domain, n) for n in POINTS_PER_CELL_EDGE if usable),
+        placement=message,
         warnings=warnings,
     )
 
@@ -134,13 +154,13 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float) -> MeshError | No
         return MeshError(
             f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, beyond the domain, which "
             f"ends at {half_extent:g} grid units from its centre.",
-            "Fit it with --fit volume or --fit extent.",
+            FIT_REMEDY,
         )
     if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
         return MeshError(
             f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
             f"than {MINIMUM_PARTICLES} particles.",
-            "Enlarge it with --fit volume or --fit extent.",
+            f"Thicken it where it is thin. {FIT_REMEDY}",
         )
     if ambiguous > AMBIGUOUS_LIMIT:
         return MeshError(

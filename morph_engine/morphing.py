@@ -25,11 +25,11 @@ from morph_engine.cost import estimate
 from morph_engine.device import Device
 from morph_engine.errors import MeshError, ResourceError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.placement import placed
 from morph_engine.geometry.sampling import (
     MINIMUM_PARTICLES,
     Jitter,
     Similarity,
-    fit_to_domain,
     sample_lattice,
 )
 from morph_engine.geometry.shapes import resolve_shape
@@ -40,7 +40,7 @@ from morph_engine.metrics.deformation import deformation_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.watchdog import Event
 from morph_engine.presets import configure
-from morph_engine.results.run_record import RunRecord, Shape
+from morph_engine.results.run_record import RunRecord, Shape, placement_of
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
 
@@ -86,8 +86,9 @@ def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = N
     """
     config = config or configure()
     source_shape, target_shape = _resolve(source), _resolve(target)
-    source_points, _ = _points(source_shape, config)
-    target_points, to_grid = _points(target_shape, config)
+    placement = placement_of(source_shape, target_shape, config)
+    source_points = _points(source_shape, placement.source, config)
+    target_points = _points(target_shape, placement.target, config)
     preset, _, version = config.preset.rpartition("-")
     return RunRecord(
         config=config,
@@ -95,7 +96,7 @@ def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = N
         target=target_shape,
         source_points=source_points,
         target_points=target_points,
-        transform=_matrix(to_grid.inverse()),
+        placement=placement,
         preset=preset or config.preset,
         preset_version=int(version) if version.isdigit() else 0,
         seeds={"jitter": config.seed},
@@ -189,20 +190,20 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     if need.memory_mb > free:
         raise ResourceError(
             f"The run needs about {need.memory_mb:,.0f} MB of memory and {free:,.0f} MB are free.",
-            "Lower --points-per-cell-edge, or free some memory.",
+            "Lower `sampling.points_per_cell_edge`, or free some memory.",
         )
     if out is None:
         return
     folder = Path(out).absolute().parent
     if not folder.is_dir():
-        raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another --out.")
+        raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another `out`.")
     # The frames lie on the disk twice while the result is assembled.
     disk = 2 * BYTES_PER_PARTICLE * record.particle_count * frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(
             f"The result needs {disk:,.0f} MB of disk and {room:,.0f} MB are free in {folder}.",
-            "Free some space, or choose another --out or fewer --frames.",
+            "Free some space, or choose another `out` or fewer `frames`.",
         )
 
 
@@ -224,8 +225,8 @@ def _frames(
             config,
             source_mesh=source,
             target_mesh=target,
-            source_to_grid=_matrix(source_to_grid),
-            target_to_grid=_matrix(target_to_grid),
+            source_to_grid=source_to_grid.matrix,
+            target_to_grid=target_to_grid.matrix,
         )
     )
     on_stage("computing")
@@ -257,7 +258,11 @@ def _frames(
         wall, cpu = time.perf_counter(), time.process_time()
         outcome = method.advance(index)
         metrics = _measure(outcome, record, threads)
-        events = [*outcome.events, *stopping.observe(index, metrics["s2t"])]
+        events = [
+            *_placed(record, index),
+            *outcome.events,
+            *stopping.observe(index, metrics["s2t"]),
+        ]
         if stopping.stopped or index == config.frames - 1:
             metrics |= _measure_fill(outcome, record, threads)
         metrics |= outcome.numbers
@@ -277,6 +282,15 @@ def _frames(
             spool.append(index, frame.positions, metrics, documents, frame.det_f)
             spool.save_checkpoint(index, method.state(), stopping.state())
         yield frame
+
+
+def _placed(record: RunRecord, frame: int) -> list[Event]:
+    """What the fit of the shapes has done, told with the first frame."""
+    placement = record.placement
+    if frame or not placement.message:
+        return []
+    data = placement.model_dump(mode="json", include={"source", "target"})
+    return [Event(0, "placement", placement.message, data)]
 
 
 def _det_f(outcome: FrameOutcome) -> NDArray[np.float32] | None:
@@ -319,8 +333,9 @@ def _measure_fill(outcome: FrameOutcome, record: RunRecord, threads: int) -> dic
         workers=_workers(threads),
     )
     if isinstance(record.target, Mesh):
-        scale = float(np.cbrt(np.linalg.det(record.transform[:3, :3])))
-        outside = outside_metrics(record.to_user(outcome.positions), record.target)
+        to_user = record.placement.target.inverse()
+        scale = to_user.scale
+        outside = outside_metrics(to_user.apply(outcome.positions), record.target)
         metrics |= {
             name: value if name.endswith("share") else value / scale
             for name, value in outside.items()
@@ -377,11 +392,11 @@ def _resolve(shape: ShapeLike) -> Shape:
     return shape
 
 
-def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Similarity]:
-    """Points of a shape in grid units, and the map from the user's coordinates."""
+def _points(shape: Shape, to_grid: Similarity, config: MorphConfig) -> NDArray[np.float32]:
+    """Points of a shape in grid units, given the map from the user's coordinates."""
     if not isinstance(shape, Mesh):
-        return _cloud(shape, config), Similarity()
-    mesh, similarity = fit_to_domain(shape, mode=config.sampling.fit)
+        return _cloud(shape, config)
+    mesh = placed(shape, to_grid)
     jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
 
     def fill() -> kept_results.Arrays:
@@ -391,7 +406,7 @@ def _points(shape: Shape, config: MorphConfig) -> tuple[NDArray[np.float32], Sim
         }
 
     inputs = (mesh.vertices, mesh.faces, config.domain, config.spacing, jitter, config.seed)
-    return kept_results.kept("filling", inputs, fill)["points"], similarity
+    return kept_results.kept("filling", inputs, fill)["points"]
 
 
 def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
@@ -415,10 +430,3 @@ def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
             "Scale and centre it to fit.",
         )
     return cloud
-
-
-def _matrix(similarity: Similarity) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    matrix[:3, :3] *= similarity.scale
-    matrix[:3, 3] = similarity.offset
-    return matrix

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from morph_engine.config import MorphConfig, override, validated
 from morph_engine.errors import ConfigError, unknown_name
 from morph_engine.methods.registry import DEFAULT_METHOD, options_of
+
+if TYPE_CHECKING:
+    from morph_engine.geometry.sampling import Fit
 
 DEFAULT = "fast"
 
@@ -20,24 +23,26 @@ class Preset(NamedTuple):
         summary: One sentence.
         method: The method if none is asked for.
         only: Whether it means nothing to other methods.
+        fit: How shapes are placed, as `sampling.fit`.
     """
 
     version: int
     summary: str
     method: str
     only: bool = False
+    fit: Fit = "auto"
 
 
 _PRESETS = {
     "fast": Preset(
-        4, "The default: one body that flows; joint in a third of its time.", DEFAULT_METHOD
+        5, "The default: one body that flows; joint in a third of its time.", DEFAULT_METHOD
     ),
-    "published": Preset(1, "The authors' program, number for number.", "joint"),
-    "paper": Preset(2, "The text of the paper, taken literally.", "joint"),
-    "stiff": Preset(1, "Flow of matter that long resists shear.", "flow", only=True),
-    "soft": Preset(1, "Flow of soft matter with some inertia.", "flow", only=True),
-    "viscous": Preset(1, "Flow of matter that creeps, and melts a little.", "flow", only=True),
-    "fluid": Preset(1, "Flow of a drop: no resistance, much surface tension.", "flow", only=True),
+    "published": Preset(1, "The authors' program, number for number.", "joint", fit="none"),
+    "paper": Preset(2, "The text of the paper, taken literally.", "joint", fit="none"),
+    "stiff": Preset(2, "Flow of matter that long resists shear.", "flow", only=True),
+    "soft": Preset(2, "Flow of soft matter with some inertia.", "flow", only=True),
+    "viscous": Preset(2, "Flow of matter that creeps, and melts a little.", "flow", only=True),
+    "fluid": Preset(2, "Flow of a drop: no resistance, much surface tension.", "flow", only=True),
 }
 
 
@@ -77,7 +82,13 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
             f"Leave the method out, or choose one of {', '.join(general_names())}.",
         )
     options = {"name": method, **options_of(method).presets.get(preset, {})}
-    config = validated({"preset": f"{preset}-{found.version}", "method": options})
+    config = validated(
+        {
+            "preset": f"{preset}-{found.version}",
+            "method": options,
+            "sampling": {"fit": found.fit},
+        }
+    )
     return override(config, settings)
 
 

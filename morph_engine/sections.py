@@ -51,8 +51,10 @@ class SamplingConfig(Section):
     lattice: Literal["published", "even"] = Field(
         "published", description="Jittered from the bounding box corner, or even and jitter-free."
     )
-    fit: Literal["none", "volume", "extent"] = Field(
-        "none", description="Scale and centre the meshes to a common volume or to the domain."
+    fit: Literal["auto", "none", "volume", "extent"] = Field(
+        "auto",
+        description="Scale and centre the meshes only if they need it (auto), never, each to a "
+        "common volume, or each to span the domain.",
     )
 
 

@@ -22,7 +22,11 @@ class ExportRequest(Request):
         False,
         description="Draw the surface of the first and last frames to the meshes of both shapes.",
     )
-    units: Units = Field("user", description="The coordinates of the target's file, or grid units.")
+    units: Units = Field(
+        "user",
+        description="Coordinates: `user`, of the source's file in the beginning and the target's "
+        "at the end; `source` or `target`, of that file all the time; or `grid` units.",
+    )
     fields: list[str] = Field(
         default_factory=list, max_length=20, description="To carry along, see /v1/fields."
     )

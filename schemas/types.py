@@ -10,9 +10,12 @@ Device = Literal["auto", "cpu", "cuda", "vulkan", "metal"]
 Scope = Literal["read", "submit", "admin"]
 FrameFormat = Literal["f32", "u16", "ply", "npy"]
 SurfaceFormat = Literal["glb", "ply", "obj", "stl"]
-Units = Literal["grid", "user"]
+Units = Literal["user", "source", "target", "grid"]
+"""Coordinates: of the user's files, from the source's in the beginning to the target's at the end;
+of either all the time; or grid units."""
+
 Fit = Literal["auto", "none", "volume", "extent"]
-"""How a shape is placed in the domain; `auto` scales only what does not fit."""
+"""How a shape is placed in the domain; `auto` scales only what needs it."""
 
 JobStage = Literal["filling", "preparing", "computing"]
 """What goes on before the first frame of an attempt."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.errors import ResultError
-from morph_engine.results.run_record import RunRecord
+from morph_engine.results.run_record import RunRecord, Units
 from morph_engine.results.spool import SpoolReader, finished_frames
 from morph_engine.results.trajectory import Trajectory
 
@@ -63,6 +63,19 @@ def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
         ResultError: It is damaged.
     """
     return _read(result, lambda run: run.det_f(index))
+
+
+def read_transform(result: Path, index: int, units: Units) -> NDArray[np.float64]:
+    """Grid units to other units in a frame that is there, shape [4, 4]; acts on columns.
+
+    Raises:
+        FileNotFoundError: The job has gone.
+        ResultError: It is damaged.
+    """
+    transform = _read(result, lambda run: run.transform_at(index, units))
+    if transform is None:
+        raise FileNotFoundError(result)
+    return transform
 
 
 def read_run_record(result: Path) -> RunRecord | None:

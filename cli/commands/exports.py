@@ -69,7 +69,8 @@ def export(
         ),
     ] = None,
     units: Annotated[
-        Literal["user", "grid"], typer.Option(help="Coordinates: of your files, or grid units.")
+        Literal["user", "source", "target", "grid"],
+        typer.Option(help="Coordinates: of your files, of one of them, or grid units."),
     ] = "user",
     fields: Annotated[
         str, typer.Option(metavar="A,B", help="Fields to carry along, such as speed,det_f.")

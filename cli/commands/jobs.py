@@ -25,7 +25,7 @@ from chamfer_morph.cli.options import (
     TargetArgument,
     WatchOption,
 )
-from chamfer_morph.cli.output import error_document, print_json
+from chamfer_morph.cli.output import error_document, in_flags, print_json
 from chamfer_morph.cli.tables import format_size, print_job, print_jobs, print_outcome
 from morph_engine.errors import MorphError
 
@@ -180,7 +180,7 @@ def _add_command(name: str, help: str) -> None:
             for document in done:
                 typer.echo(f"{document['id']}  {document['state']}")
         for _, problem in refused:
-            sys.stderr.write(f"{problem.cause}\n{problem.remedy}\n")
+            sys.stderr.write(f"{problem.cause}\n{in_flags(problem.remedy)}\n")
         if refused:
             raise typer.Exit(BAD_INPUT)
 

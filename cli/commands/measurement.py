@@ -18,18 +18,17 @@ app: typer.Typer = typer.Typer()
 @app.command()
 def inspect(
     mesh: Annotated[str, typer.Argument(metavar="MESH", help=SHAPE_HELP)],
-    fit: Annotated[Fit, typer.Option(help=FIT_HELP)] = "none",
+    fit: Annotated[Fit, typer.Option(help=FIT_HELP)] = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Describe a mesh: closed?, volume, particles, expected time and memory; 2 if unusable."""
-    from morph_engine.geometry.sampling import fit_to_domain
     from morph_engine.geometry.shapes import resolve_shape
-    from morph_engine.ingest import check_mesh, inspect_mesh
+    from morph_engine.ingest import check_mesh, fitted, inspect_mesh
 
-    fitted, _ = fit_to_domain(resolve_shape(mesh), mode=fit)
-    report = inspect_mesh(fitted)
+    shape = resolve_shape(mesh)
+    report = inspect_mesh(shape, fit=fit)
     try:
-        check_mesh(fitted)
+        check_mesh(fitted(shape, fit)[0])
     except MorphError as error:
         if as_json:
             print_json(report.model_dump(mode="json") | error_document(error))

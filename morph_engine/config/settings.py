@@ -7,7 +7,7 @@ be written with `method.` before it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -60,6 +60,7 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
             out of range.
     """
     tree = config.model_dump()
+    fields = setting_fields(config.method.name)
     for path, value in values.items():
         location = _location(path, config.method.name)
         if location is None:
@@ -68,7 +69,8 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
         node = tree
         for section in sections:
             node = node[section]
-        parsed = _parsed(value)
+        choices = get_args(fields[location.removeprefix(_PREFIX)].annotation)
+        parsed = value if value in choices else _parsed(value)  # "none" may be one of them
         is_series = isinstance(node[leaf], tuple) and not isinstance(parsed, tuple | list)
         node[leaf] = (parsed,) if is_series else parsed
     return validated(tree)

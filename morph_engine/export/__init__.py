@@ -14,7 +14,8 @@ from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
 from morph_engine.results.fields import find as find_field
-from morph_engine.results.selection import Selection, Units, check_snap
+from morph_engine.results.run_record import Units
+from morph_engine.results.selection import Selection, check_snap
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
@@ -72,7 +73,9 @@ def export(
         surface: A surface around the particles in place of the particles.
         snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
-        units: ``user`` for the coordinates of the user's own files, ``grid`` for grid units.
+        units: ``user`` for the coordinates of the user's own files, from those of the source in the
+            beginning to those of the target at the end; ``source`` or ``target`` for those of
+            either all the time; ``grid`` for grid units.
         fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
             them from the particle nearest to each of its vertices.
         watch: Called with the number of frames written and to be written.

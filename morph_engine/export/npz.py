@@ -14,23 +14,22 @@ def write(selection: Selection, path: Path) -> None:
     """Write the frames; arguments as for `Format.write`.
 
     ``positions`` [T, n, 3], ``frames`` [T], each field [T, n], ``source`` [n, 3], ``target``
-    [m, 3], ``transform`` [4, 4] from grid units to those of the positions.
+    [m, 3], ``transform`` [T, 4, 4] from grid units to those of the positions.
     """
     snapshots = list(selection.snapshots())
     fields = {
         name: np.stack([snapshot.fields[name] for snapshot in snapshots])
         for name in selection.fields
     }
-    trajectory = selection.trajectory
     with path.open("wb") as file:
         np.savez_compressed(
             file,
             allow_pickle=False,
             positions=np.stack([snapshot.vertices for snapshot in snapshots]),
             frames=np.array(selection.frames),
-            source=selection.placed(trajectory.run.source_points),
-            target=selection.placed(trajectory.target_points),
-            transform=selection.transform,
+            source=selection.placed_end("source"),
+            target=selection.placed_end("target"),
+            transform=np.stack([selection.transform(frame) for frame in selection.frames]),
             **fields,
         )
 

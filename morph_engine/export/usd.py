@@ -30,7 +30,7 @@ def write(selection: Selection, path: Path) -> None:
     if selection.surface:
         shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     else:
-        _constant_width(UsdGeom, shape, selection.spacing)
+        shape.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     for snapshot in selection.snapshots():
         _sample(UsdGeom, shape, snapshot)
     layer = stage.GetRootLayer()
@@ -43,11 +43,6 @@ def write(selection: Selection, path: Path) -> None:
         final.unlink(missing_ok=True)
 
 
-def _constant_width(UsdGeom: Any, points: Any, width: float) -> None:
-    points.CreateWidthsAttr([width])
-    points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-
-
 def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
     """Set one frame."""
     Sdf, Vt = (load(f"pxr.{name}", extra="usd", purpose="USD") for name in ("Sdf", "Vt"))
@@ -57,7 +52,9 @@ def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
     known = np.isfinite(vertices).all(axis=1)
     extent = np.stack([vertices[known].min(axis=0), vertices[known].max(axis=0)])
     shape.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), time)
-    if snapshot.faces is not None:
+    if snapshot.faces is None:
+        shape.CreateWidthsAttr().Set([snapshot.spacing], time)
+    else:
         counts = np.full(len(snapshot.faces), 3, np.int32)
         shape.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(counts), time)
         corners = np.ascontiguousarray(snapshot.faces.reshape(-1))

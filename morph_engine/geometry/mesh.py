@@ -39,6 +39,7 @@ class Mesh:
         name: File or shape name, for messages.
         sha256: Digest of the file, or of the arrays of a built-in shape.
         repairs: What was changed on loading, one sentence each.
+        built_in: Whether it is a built-in shape, in grid units, and comes from no file.
     """
 
     vertices: npt.NDArray[np.float64]
@@ -46,6 +47,7 @@ class Mesh:
     name: str
     sha256: str
     repairs: tuple[str, ...] = ()
+    built_in: bool = False
 
     @property
     def bounds(self) -> npt.NDArray[np.float64]:

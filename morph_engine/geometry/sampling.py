@@ -17,7 +17,7 @@ from morph_engine.geometry.winding_number import inside
 igl: Any = lazy.load("igl")
 
 Jitter = Literal["published", "none"]
-Fit = Literal["volume", "extent", "none"]
+Fit = Literal["auto", "volume", "extent", "none"]
 Floats = npt.NDArray[np.float64]
 
 HALF_EXTENT = 16.0
@@ -38,6 +38,9 @@ MINIMUM_PARTICLES = 500
 
 LATTICE_LIMIT = 50_000_000
 """Most lattice points a mesh may ask for; the usual domain at 8 points per cell edge has 17 M."""
+
+FIT_REMEDY = "Let it be scaled and centred: set `sampling.fit` to auto or volume."
+"""Remedy for what is too large or too small."""
 
 CHUNK = 1 << 20
 """Lattice points tested at once; bounds the memory of sampling to about 100 MB."""
@@ -74,7 +77,7 @@ def sample_lattice(
     if np.prod((upper - lower) / spacing + 2) > LATTICE_LIMIT:
         raise MeshError(
             f"{mesh.name} needs a lattice of more than {LATTICE_LIMIT:,} points.",
-            "Fit it to the domain with --fit volume or --fit extent.",
+            FIT_REMEDY,
         )
     lattice = (
         _published_lattice(mesh, spacing, seed)
@@ -86,7 +89,7 @@ def sample_lattice(
         raise MeshError(
             f"{mesh.name} holds only {len(positions)} particles at a spacing of {spacing:.4g} "
             f"grid units, fewer than {minimum_count}.",
-            "Enlarge it with --fit volume or --fit extent, or raise --points-per-cell-edge.",
+            f"Raise `sampling.points_per_cell_edge`. {FIT_REMEDY}",
         )
     return positions
 
@@ -144,8 +147,32 @@ class Similarity:
         x, y, z = (-component / self.scale for component in self.offset)
         return Similarity(1.0 / self.scale, (x, y, z))
 
+    def blended(self, other: Similarity, share: float) -> Similarity:
+        """This at share 0 and another at 1; between them scales go by factors, offsets by steps."""
+        if self == other:
+            return self  # to the bit
+        scale = self.scale ** (1 - share) * other.scale**share
+        x, y, z = (
+            (1 - share) * a + share * b for a, b in zip(self.offset, other.offset, strict=True)
+        )
+        return Similarity(scale, (x, y, z))
 
-def fit_to_domain(mesh: Mesh, *, mode: Fit = "none") -> tuple[Mesh, Similarity]:
+    def applied(self, mesh: Mesh) -> Mesh:
+        """A mesh in user coordinates in grid units."""
+        return replace(mesh, vertices=self.apply(mesh.vertices))
+
+    @property
+    def matrix(self) -> Floats:
+        """The map as a matrix that acts on columns, shape [4, 4]."""
+        matrix = np.eye(4)
+        matrix[:3, :3] *= self.scale
+        matrix[:3, 3] = self.offset
+        return matrix
+
+
+def fit_to_domain(
+    mesh: Mesh, *, mode: Literal["volume", "extent", "none"] = "none"
+) -> tuple[Mesh, Similarity]:
     """Scale a mesh and centre its bounding box in the domain.
 
     `volume` gives it the reference volume, so that source and target get about the same number
@@ -161,10 +188,20 @@ def fit_to_domain(mesh: Mesh, *, mode: Fit = "none") -> tuple[Mesh, Similarity]:
     """
     if mode == "none":
         return mesh, Similarity()
-    lower, upper = mesh.bounds
-    scale = 2 * FIT_HALF_EXTENT / float((upper - lower).max())
+    similarity = fitting_similarity(mesh.volume, mesh.bounds, mode=mode)
+    return similarity.applied(mesh), similarity
+
+
+def fitting_similarity(
+    volume: float, bounds: Floats, *, mode: Fit, reach: float = FIT_HALF_EXTENT
+) -> Similarity:
+    """The map of `fit_to_domain` for a shape of this volume and bounding box, shape [2, 3].
+
+    `reach` is the half edge of the cube that it is to fit [grid units].
+    """
+    lower, upper = bounds
+    scale = 2 * reach / float((upper - lower).max())
     if mode == "volume":
-        scale = min(scale, float(np.cbrt(REFERENCE_VOLUME / mesh.volume)))
+        scale = min(scale, float(np.cbrt(REFERENCE_VOLUME / volume)))
     x, y, z = (-scale * (lower + upper) / 2).tolist()
-    similarity = Similarity(scale, (x, y, z))
-    return replace(mesh, vertices=similarity.apply(mesh.vertices)), similarity
+    return Similarity(scale, (x, y, z))

@@ -7,6 +7,7 @@ them hold nearly the same number of particles, and is centred in the domain, y u
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def make(name: str) -> Mesh:
     else:
         raise unknown_name("built-in shape", name, names(), error=MeshError)
     mesh = make_mesh(raw["vertices"], raw["faces"], name=name)
-    return fit_to_domain(mesh, mode="volume")[0]
+    return replace(fit_to_domain(mesh, mode="volume")[0], built_in=True)
 
 
 def _arrays(mesh: Mesh) -> kept_results.Arrays:

@@ -15,8 +15,9 @@ class Event:
 
     Attributes:
         frame: 0-based frame index.
-        kind: "rejected" (trials refused), "restart" (frame begun anew with half the time step),
-            "outside" (particles out of the domain that are left there), "stopped" (early stopping).
+        kind: "placement" (shapes scaled to fit), "rejected" (trials refused), "restart" (frame
+            begun anew with half the time step), "outside" (particles out of the domain that are
+            left there), "stopped" (early stopping).
         message: One sentence.
         data: Numbers behind the message.
     """

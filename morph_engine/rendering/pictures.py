@@ -298,7 +298,7 @@ def _pictures(
         turned = _turn(rotation, done / len(selection.frames)) if turntable else rotation
         yield picture(
             snapshot.vertices,
-            spacing=selection.spacing,
+            spacing=snapshot.spacing,
             values=snapshot.fields.get(name) if name else None,
             colors=colors,
             limits=limits,

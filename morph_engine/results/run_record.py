@@ -16,14 +16,19 @@ from numpy.typing import NDArray
 
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.placement import Placement, Solid, place, placed
 from morph_engine.geometry.point_cloud import median_gap
-from morph_engine.geometry.sampling import Similarity, fit_to_domain
+from morph_engine.geometry.sampling import Similarity
 
 NEIGHBORS = 12
 """The neighbour whose distance tells how far particles stand apart."""
 
 Json = dict[str, Any]
 Role = Literal["source", "target"]
+Units = Literal["user", "source", "target", "grid"]
+"""Coordinates of results: those of the user's files, from the source's in the beginning to the
+target's at the end (`Placement.to_user`); those of either all the time; or grid units."""
+
 Shape = Mesh | NDArray[Any]
 """A shape as the user gave it: a mesh, or a bare point cloud of shape [n, 3]."""
 
@@ -51,7 +56,7 @@ class RunRecord:
         target: Target shape in the user's own coordinates.
         source_points: Particle positions before the first frame [dx], shape [n, 3], float32.
         target_points: Target points [dx], shape [m, 3], float32.
-        transform: Grid units to the user's coordinates, shape [4, 4], float64; acts on columns.
+        placement: Where the shapes are in the domain, and how results come back from it.
         preset: Name of the preset the configuration came from.
         preset_version: Its version.
         seeds: Name of each random stream to its seed.
@@ -63,7 +68,7 @@ class RunRecord:
     target: Shape
     source_points: NDArray[np.float32]
     target_points: NDArray[np.float32]
-    transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    placement: Placement = field(default_factory=Placement)
     preset: str = ""
     preset_version: int = 0
     seeds: dict[str, int] = field(default_factory=dict)
@@ -74,10 +79,22 @@ class RunRecord:
         """Number of particles n."""
         return len(self.source_points)
 
-    def to_user(self, positions: NDArray[Any]) -> NDArray[np.float64]:
-        """Positions [dx], shape [n, 3], in the user's coordinates, float64."""
-        placed: NDArray[np.float64] = positions @ self.transform[:3, :3].T + self.transform[:3, 3]
-        return placed
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """Grid units to the target's coordinates, shape [4, 4], float64; acts on columns."""
+        return self.placement.target.inverse().matrix
+
+    def transform_to(self, units: Units, share: float) -> NDArray[np.float64]:
+        """Grid units to other units at a share of the way, shape [4, 4], float64; acts on columns.
+
+        The share is 0 for the source, and (i + 1) / n for frame i of n.
+        """
+        if units == "grid":
+            return np.eye(4)
+        if units == "user":
+            return self.placement.to_user(share).matrix
+        end: Similarity = getattr(self.placement, units)
+        return end.inverse().matrix
 
     def fitted(self, role: Role) -> tuple[Mesh | None, Similarity]:
         """A shape's mesh as the run has placed it in the domain.
@@ -85,10 +102,8 @@ class RunRecord:
         Returns:
             The mesh [dx], None for a point cloud, and the map from user coordinates to grid units.
         """
-        shape = getattr(self, role)
-        if not isinstance(shape, Mesh):
-            return None, Similarity()
-        return fit_to_domain(shape, mode=self.config.sampling.fit)
+        shape, similarity = getattr(self, role), getattr(self.placement, role)
+        return placed(shape, similarity) if isinstance(shape, Mesh) else None, similarity
 
     def spacing_of(self, positions: NDArray[Any]) -> float:
         """Spacing of a frame's particles [dx]: h, or more where a larger target spreads them.
@@ -118,7 +133,8 @@ class RunRecord:
             "preset_version": self.preset_version,
             "seeds": self.seeds,
             "software": self.software,
-            "transform": np.asarray(self.transform, np.float64).tolist(),
+            "transform": self.transform.tolist(),
+            "placement": self.placement.model_dump(mode="json"),
             "source": _identity(self.source),
             "target": _identity(self.target),
             "source_points": _identity(self.source_points),
@@ -149,18 +165,28 @@ class RunRecord:
         Raises:
             KeyError: A part is missing.
         """
+        config = stored_config(document["config"])
+        source, target = (_shape(role, document, arrays) for role in ("source", "target"))
         return cls(
-            config=stored_config(document["config"]),
-            source=_shape("source", document, arrays),
-            target=_shape("target", document, arrays),
+            config=config,
+            source=source,
+            target=target,
             source_points=arrays["source_points"],
             target_points=arrays["target_points"],
-            transform=np.array(document["transform"], np.float64),
+            placement=Placement.model_validate(document["placement"])
+            if "placement" in document
+            else placement_of(source, target, config),
             preset=document["preset"],
             preset_version=document["preset_version"],
             seeds=document["seeds"],
             software=document["software"],
         )
+
+
+def placement_of(source: Shape, target: Shape, config: MorphConfig) -> Placement:
+    """Where two shapes are in the domain of a configuration."""
+    solids = (Solid.of(shape) if isinstance(shape, Mesh) else None for shape in (source, target))
+    return place(*solids, fit=config.sampling.fit, half_extent=config.domain)
 
 
 def _identity(shape: Shape) -> dict[str, str]:

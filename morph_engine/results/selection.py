@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +13,9 @@ from morph_engine.errors import ConfigError
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_snapping import snapped_to
 from morph_engine.results.fields import field
-from morph_engine.results.run_record import Role
+from morph_engine.results.run_record import Role, Units
 from morph_engine.results.trajectory import Trajectory
 
-Units = Literal["user", "grid"]
 Positions = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
 
@@ -36,7 +33,7 @@ def check_snap(*, surface: bool, snap: bool) -> None:
     if snap and not surface:
         raise ConfigError(
             "Only a surface can be drawn to the meshes (snap), and none is asked for.",
-            "Ask for a surface with --surface, or leave out --snap.",
+            "Ask for a surface (`surface`), or leave out `snap`.",
         )
 
 
@@ -49,12 +46,14 @@ class Snapshot:
         vertices: Particles, or corners of the surface [units of the selection], shape [v, 3].
         faces: Vertex indices of the surface, shape [f, 3], int32; None for particles.
         fields: A value per vertex by field name, shape [v], float32.
+        spacing: Lattice spacing h of the particles [units of the selection].
     """
 
     frame: int
     vertices: Positions
     faces: npt.NDArray[np.int32] | None
     fields: dict[str, Values]
+    spacing: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class Selection:
         frames: Indices of the frames, each from 0.
         surface: Whether a surface takes the place of the particles.
         snap: Whether the surface is drawn to the user's own meshes, near source and target.
-        units: Coordinates: ``user`` or ``grid``.
+        units: Coordinates: ``user``, ``source``, ``target`` or ``grid``, see `Units`.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
     """
@@ -95,21 +94,16 @@ class Selection:
             yield self._snapshot(frame)
         self.watch(len(self.frames), len(self.frames))
 
-    @cached_property
-    def spacing(self) -> float:
-        """Lattice spacing h of the particles [units of the selection]."""
-        return self._spacing * self._scale
+    def transform(self, frame: int) -> Positions:
+        """Grid units to the units of the selection in a frame, shape [4, 4]; acts on columns."""
+        return self.trajectory.transform_at(frame, self.units)
 
-    @property
-    def transform(self) -> Positions:
-        """Grid units to the units of the selection, shape [4, 4]; acts on columns."""
-        return self.trajectory.transform if self.units == "user" else np.eye(4)
-
-    def placed(self, positions: npt.ArrayLike) -> Positions:
-        """Positions [dx], shape [n, 3], in the units of the selection, float64."""
-        matrix = self.transform
-        placed: Positions = np.asarray(positions, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        return placed
+    def placed_end(self, role: Role) -> Positions:
+        """Source or target points in the units of the selection, shape [n, 3], float64."""
+        run = self.trajectory.run
+        if role == "source":
+            return _moved(run.source_points, run.transform_to(self.units, 0.0))
+        return _moved(run.target_points, run.transform_to(self.units, 1.0))
 
     def field(self, name: str, frame: int) -> Values:
         """A field of a frame, a value per particle, shape [n], float32.
@@ -132,8 +126,10 @@ class Selection:
     def _snapshot(self, frame: int) -> Snapshot:
         positions = self.trajectory.positions(frame)
         fields = {name: self.field(name, frame) for name in self.fields}
+        transform = self.transform(frame)
+        apart = self._spacing * float(np.cbrt(np.linalg.det(transform[:3, :3])))
         if not self.surface:
-            return Snapshot(frame, self.placed(positions), None, fields)
+            return Snapshot(frame, _moved(positions, transform), None, fields, apart)
         spacing = self.trajectory.run.spacing_of(positions)
         found = reconstruct_surface(positions, spacing)
         if self.snap:
@@ -142,13 +138,14 @@ class Selection:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
             fields = {name: values[finite][nearest] for name, values in fields.items()}
-        return Snapshot(frame, self.placed(found.vertices), found.faces, fields)
+        vertices = _moved(found.vertices, transform)
+        return Snapshot(frame, vertices, found.faces, fields, apart)
 
     def _drawn_to_ends(self, surface: Surface, frame: int, spacing: float) -> Surface:
         """A frame's surface drawn to the mesh of the end that it is near to, if there is one."""
         trajectory = self.trajectory
         complete = trajectory.status == "complete"
-        count = trajectory.frame_count if complete else trajectory.config.frames
+        count = trajectory.planned_frame_count
         frames_from: dict[Role, int] = {"source": frame + 1}
         if complete:  # else the target has not been reached
             frames_from["target"] = count - 1 - frame
@@ -159,10 +156,12 @@ class Selection:
                 surface = snapped_to(surface, mesh, share, spacing)
         return surface
 
-    @cached_property
+    @property
     def _spacing(self) -> float:
         return self.trajectory.config.spacing
 
-    @cached_property
-    def _scale(self) -> float:
-        return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))
+
+def _moved(positions: npt.ArrayLike, matrix: Positions) -> Positions:
+    """Positions, shape [n, 3], under an affine map, shape [4, 4], that acts on columns, float64."""
+    moved: Positions = np.asarray(positions, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved

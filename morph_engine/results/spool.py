@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from morph_engine.errors import ResultError
 from morph_engine.files import acquire, replacing
-from morph_engine.results.run_record import Json, RunRecord
+from morph_engine.results.run_record import Json, RunRecord, Units
 
 _RUN = "run.json"
 _ARRAYS = "run.npz"
@@ -110,6 +110,14 @@ class SpoolReader:
         with _stored(self._frame_path(frame)) as arrays:
             return arrays.get("det_f")
 
+    def transform_at(self, frame: int, units: Units = "user") -> NDArray[np.float64]:
+        """Grid units to other units in one frame, shape [4, 4], float64; acts on columns.
+
+        Raises:
+            ResultError: As `run`.
+        """
+        return self.run.transform_to(units, (frame + 1) / self.run.config.frames)
+
     def _frame_path(self, frame: int) -> Path:
         return self.path / f"frame-{frame:06d}.npz"
 
@@ -142,7 +150,7 @@ class Spool(SpoolReader):
                 if (path / _RUN).exists() and not replace:
                     raise ResultError(
                         f"{path} holds an unfinished run.",
-                        "Continue it with --resume, or delete that directory to start afresh.",
+                        "Continue it with `resume`, or delete that directory to start afresh.",
                     )
                 _clear(path)
                 with replacing(path / _ARRAYS) as file:
@@ -170,7 +178,7 @@ class Spool(SpoolReader):
         path = spool_path(result_path)
         if not (path / _RUN).is_file():
             raise ResultError(
-                f"There is no unfinished run at {path}.", "Start the run without --resume."
+                f"There is no unfinished run at {path}.", "Start the run without `resume`."
             )
         with _writing(path):
             lock = _lock(path) if writable else None
@@ -330,7 +338,7 @@ def _lock(path: Path) -> BinaryIO:
     if lock is None:
         raise ResultError(
             f"Another process is writing the run at {path}.",
-            "Wait for it to end, or choose another result file with --out.",
+            "Wait for it to end, or choose another result file with `out`.",
         )
     return lock
 
@@ -412,5 +420,5 @@ def _writing(path: Path) -> Iterator[None]:
     except OSError as error:
         raise ResultError(
             f"Cannot write to {path} ({error.strerror or error}).",
-            "Free some disk space or choose another place with --out, then resume.",
+            "Free some disk space or choose another place with `out`, then resume.",
         ) from error

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
-from morph_engine.results.run_record import Json, RunRecord, Shape
+from morph_engine.results.run_record import Json, RunRecord, Shape, Units
 from morph_engine.results.spool import Spool
 
 Status = Literal["complete", "partial"]
@@ -218,7 +218,9 @@ class Trajectory:
         Raises:
             ResultError: As `positions`.
         """
-        return self.run.to_user(self.positions(frame))
+        matrix = self.transform_at(frame)
+        positions: NDArray[np.float64] = self.positions(frame) @ matrix[:3, :3].T + matrix[:3, 3]
+        return positions
 
     def det_f(self, frame: int) -> NDArray[np.float32] | None:
         """det F of each particle in one frame [ratio], shape [n], float32.
@@ -311,8 +313,22 @@ class Trajectory:
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """Grid units to the user's coordinates, shape [4, 4], float64; acts on columns."""
+        """Grid units to the target's coordinates, shape [4, 4], float64; acts on columns."""
         return self.run.transform
+
+    @property
+    def planned_frame_count(self) -> int:
+        """Number of frames until the target is reached; a run that was stopped has fewer."""
+        return self.frame_count if self.status == "complete" else self.config.frames
+
+    def transform_at(self, frame: int, units: Units = "user") -> NDArray[np.float64]:
+        """Grid units to other units in one frame, shape [4, 4], float64; acts on columns.
+
+        Raises:
+            ResultError: There is no such frame.
+        """
+        share = (self.index(frame) + 1) / self.planned_frame_count
+        return self.run.transform_to(units, share)
 
     @property
     def software(self) -> dict[str, str]:

@@ -51,6 +51,7 @@ class Run(BaseModel, frozen=True, extra="forbid"):
             "frames": self.frames,
             "seed": self.seed,
             "sampling.points_per_cell_edge": self.points_per_cell_edge,
+            "sampling.fit": "none",  # the paper's meshes are as large as it took them
             **self.overrides,
         }
 

@@ -15,7 +15,8 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.array_encoding import PLY
 from chamfer_morph.server.http.conditional import binary_responses, etag_headers, not_modified
 from chamfer_morph.server.http.problems import not_found
-from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_run_record
+from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob
+from chamfer_morph.worker.frame_reader import read_transform
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 
@@ -51,7 +52,7 @@ async def get_surface(
     context: Context,
     format: Annotated[SurfaceFormat, Query(description="Of the file.")] = "glb",
     units: Annotated[
-        Units, Query(description="Grid units, or the coordinates of the target's file.")
+        Units, Query(description="See exports; only here the default is `grid`.")
     ] = "grid",
 ) -> Response:
     """A closed and smooth mesh around the particles of a finished frame, also while the job runs.
@@ -84,8 +85,8 @@ def _encode(
 
     surface = StoredSurface.load(context.storage.surface_path(job.id, index))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    if units == "user":
-        mesh.apply_transform(find_run_record(job, context).transform)
+    if units != "grid":
+        mesh.apply_transform(read_transform(context.storage.result_path(job.id), index, units))
     file = io.BytesIO()
     mesh.export(file, file_type=format, **({"include_normals": True} if format == "glb" else {}))
     headers: dict[str, Any] = {

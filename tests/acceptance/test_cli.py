@@ -84,14 +84,15 @@ def test_inspect_reports_what_a_run_will_need():
 
 
 def test_inspect_of_a_huge_mesh_reports_and_refuses(tmp_path):
-    """A mesh beyond the domain is described, and the remedy --fit makes it usable."""
+    """A mesh beyond the domain is scaled; with --fit none it is described and refused."""
     path = tmp_path / "huge.obj"
     path.write_text(tetrahedron(scale=100.0))
     outcome = morph("inspect", path)
+    assert outcome.returncode == 0 and "scaled" in outcome.stdout
+    outcome = morph("inspect", path, "--fit", "none")
     assert "volume" in outcome.stdout
     assert_refused(outcome, "--fit")
-    assert morph("inspect", path, "--fit", "volume").returncode == 0
-    report = json.loads(morph("inspect", path, "--json").stdout)
+    report = json.loads(morph("inspect", path, "--fit", "none", "--json").stdout)
     assert not report["fits_domain"] and "--fit" in report["error"]["remedy"]
 
 

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
 
 FRAMES = 3
-TRANSFORM = np.array([[0.5, 0, 0, 10], [0, 0.5, 0, -20], [0, 0, 0.5, 30], [0, 0, 0, 1.0]])
+TO_GRID = Similarity(0.5, (10.0, -20.0, 30.0)).inverse()
 
 
 def ball(radius: float, spacing: float) -> np.ndarray:
@@ -42,7 +44,7 @@ def small_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         target=egg,
         source_points=source,
         target_points=egg,
-        transform=TRANSFORM,
+        placement=Placement(source=TO_GRID, target=TO_GRID),
     )
     path = tmp_path_factory.mktemp("result") / "egg.vtkhdf"
     with Spool.create(path, record) as spool:

@@ -15,7 +15,8 @@ import trimesh
 from morph_engine.comparison import compare, sample_surface
 from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.mesh import Mesh, make_mesh
-from morph_engine.geometry.sampling import sample_lattice
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity, sample_lattice
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.definitions import METRICS
 from morph_engine.metrics.deformation import deformation_metrics
@@ -163,7 +164,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         target=replace(CUBE, vertices=CUBE.vertices * SCALE + 1),
         source_points=start,
         target_points=end + np.float32(0.01),
-        transform=np.array([[SCALE, 0, 0, 1], [0, SCALE, 0, 1], [0, 0, SCALE, 1], [0, 0, 0, 1]]),
+        placement=Placement(target=Similarity(SCALE, (1.0, 1.0, 1.0)).inverse()),
     )
     path = tmp_path_factory.mktemp("result") / "r.vtkhdf"
     with Spool.create(path, run) as spool:
@@ -193,7 +194,6 @@ def test_escaped_is_what_has_left_the_domain_of_the_run(tmp_path: Path) -> None:
     run = RunRecord(
         config=configure("fast", {"grid.half_extent": 24.0, "grid.margin": 2.0}),
         source=points, target=points, source_points=points, target_points=points,
-        transform=np.eye(4),
     )  # fmt: skip
     with Spool.create(tmp_path / "r.vtkhdf", run) as spool:
         spool.append(0, points, {}, [])

@@ -136,21 +136,22 @@ def test_cavity_is_kept_and_named():
 
 
 def test_larger_than_the_domain():
-    """A mesh a billion wide is refused before any lattice is made; --fit is the remedy."""
+    """A mesh a billion wide is refused before any lattice is made, unless it may be scaled."""
     huge = make_mesh(BOX.vertices * 1e8, BOX.faces, name="huge")
+    report = inspect_mesh(huge, fit="none")
+    assert not report.fits_domain and not report.resolutions
     report = inspect_mesh(huge)
-    assert not report.fits_domain
-    assert not report.resolutions
+    assert not report.fits_domain and report.resolutions and "scaled" in report.placement
     with pytest.raises(MeshError, match="beyond the domain") as caught:
         check_mesh(huge)
-    assert "--fit" in caught.value.remedy
+    assert "`sampling.fit`" in caught.value.remedy
 
 
 def test_too_small_for_500_particles():
-    """A unit cube in grid units is refused; --fit is the remedy."""
+    """A unit cube in grid units is refused; the fit is the remedy."""
     with pytest.raises(MeshError, match="fewer than 500 particles") as caught:
         check_mesh(make_mesh(BOX.vertices / 8, BOX.faces, name="cube"))
-    assert "--fit" in caught.value.remedy
+    assert "`sampling.fit`" in caught.value.remedy
 
 
 def test_estimate_grows_with_the_work():

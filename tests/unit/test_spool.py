@@ -10,6 +10,8 @@ import pytest
 
 from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool, spool_path
@@ -186,7 +188,7 @@ def test_unfinished_run_is_not_overwritten(tmp_path):
     [
         ({"config": configure("published", {"frames": 41, "seed": 3})}, "config.frames"),
         ({"target": positions(1)}, "target.sha256"),
-        ({"transform": np.diag([2.0, 2.0, 2.0, 1.0])}, "transform"),
+        ({"placement": Placement(source=Similarity(2.0))}, "placement.source.scale"),
         ({"software": {"taichi": "0"}}, "software"),
         ({"preset": "fast"}, "'published', now 'fast'"),
     ],

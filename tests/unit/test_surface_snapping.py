@@ -173,8 +173,8 @@ def test_exports_and_videos_hand_the_option_on(run, tmp_path, monkeypatch):
 
 def test_particles_are_not_drawn(run, tmp_path):
     """Without a surface the option is refused, with what to do about it."""
-    with pytest.raises(ConfigError, match="--surface"):
+    with pytest.raises(ConfigError, match="`surface`"):
         export(run, tmp_path / "a.ply", "ply", snap=True)
-    with pytest.raises(ConfigError, match="--surface"):
+    with pytest.raises(ConfigError, match="`surface`"):
         video(run, tmp_path / "a.gif", snap=True)
     assert not list(tmp_path.iterdir())

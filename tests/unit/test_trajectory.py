@@ -10,6 +10,8 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 from morph_engine.config import MorphConfig
 from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory, write_result
@@ -24,14 +26,14 @@ METRICS = [{"s2t": 1 / (t + 3), "det_f_min": -1e-40 * t} for t in range(T)]
 METRICS[2]["hausdorff"] = 0.7
 EVENTS = [{"frame": 1, "kind": "halved", "message": "CFL η > 1", "data": {"step": 1}}]
 MESH = Mesh(np.eye(4)[:, :3], np.array([[0, 1, 2], [0, 3, 1]], np.int32), "wedge", "ab12")
-TRANSFORM = np.array([[2.0, 0, 0, 5], [0, 2, 0, 6], [0, 0, 2, 7], [0, 0, 0, 1]])
+TO_GRID = Similarity(2.0, (5.0, 6.0, 7.0)).inverse()
 RUN = RunRecord(
     config=MorphConfig(preset="x" * 100_000),
     source=MESH,
     target=CLOUD,
     source_points=POSITIONS[0],
     target_points=TARGET,
-    transform=TRANSFORM,
+    placement=Placement(source=TO_GRID, target=TO_GRID),
     preset="fast",
     preset_version=2,
     seeds={"run": 2**63},

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from chamfer_morph.schemas import Sha256
+from chamfer_morph.schemas import Sha256, Units
 from morph_engine.files import replacing
 
 
@@ -59,7 +59,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     frames: list[int] | None
     surface: bool
     snap: bool
-    units: Literal["user", "grid"]
+    units: Units
     fields: list[str]
 
 

@@ -29,7 +29,7 @@ def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
     assert either.submit()["queue_position"] == 1
     assert either.http.get(answer.headers["Location"]).json()["name"] == "first"
     config = either.http.get(f"/v1/jobs/{job['id']}/config").json()
-    assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-4")
+    assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-5")
 
 
 def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:
