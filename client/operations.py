@@ -460,7 +460,7 @@ class Operations:
         Args:
             shape: A file, which is uploaded, or a built-in shape.
             points_per_cell_edge: Lattice points per grid unit and axis, 1 to 8.
-            fit: As the setting `sampling.fit`; `auto` scales only what does not fit the domain.
+            fit: As the setting `sampling.fit`; `auto` takes the other end for a shape like it.
 
         Raises:
             MeshError: The file cannot be read.

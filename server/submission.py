@@ -6,22 +6,24 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
-from chamfer_morph.schemas import JobRequest, MeshShape, Shape
+import numpy as np
+
+from chamfer_morph.schemas import JobRequest
 from chamfer_morph.schemas.ids import derived_id
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine import presets
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.errors import ConfigError, MeshError
-from morph_engine.geometry import shapes
-from morph_engine.geometry.sampling import MINIMUM_PARTICLES, REFERENCE_VOLUME
+from morph_engine.geometry.placement import Solid, place
+from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,11 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         ProblemError: 422, a mesh is unknown.
     """
     config = configure(request)
-    particles, source_name = _shape("source", request.source, config, caller, context)
-    targets, target_name = _shape("target", request.target, config, caller, context)
+    source, source_name = find_solid(request.source, caller, context, ("body", "source", "mesh"))
+    target, target_name = find_solid(request.target, caller, context, ("body", "target", "mesh"))
+    placement = place(source, target, fit=config.sampling.fit, half_extent=config.domain)
+    particles = _particle_count(source_name, source, placement.source, config)
+    targets = _particle_count(target_name, target, placement.target, config)
     expected = estimate(
         particles,
         targets,
@@ -154,46 +159,24 @@ def idempotency_conflict() -> ProblemError:
     )
 
 
-def _shape(
-    role: str, shape: Shape, config: MorphConfig, caller: Caller, context: ServerContext
-) -> tuple[int, str]:
-    """About how many particles a shape takes, and its name."""
-    per_unit = config.sampling.points_per_cell_edge**3
-    if not isinstance(shape, MeshShape):
-        _check_built_in(shape.shape)
-        return round(REFERENCE_VOLUME * per_unit), shape.shape
-    row = context.meshes.get(caller.owner_filter, shape.mesh)
-    if row is None or context.storage.mesh_file(shape.mesh) is None:
-        raise ProblemError(
-            422,
-            f"There is no mesh {shape.mesh}.",
-            "Upload it first, with POST /v1/meshes.",
-            errors=[{"loc": ["body", role, "mesh"], "msg": "unknown mesh", "type": "unknown"}],
-        )
-    if config.sampling.fit != "none":
-        return round(REFERENCE_VOLUME * per_unit), row.name
-    report = context.storage.mesh_report(shape.mesh)
-    if report is None:
-        raise MeshError(f"The mesh {row.name} has been deleted meanwhile.", "Upload it again.")
-    reach = max(abs(x) for corner in report["bounds"] for x in corner)
-    remedy = 'Scale it with the override "sampling.fit": "volume".'
+def _particle_count(name: str, solid: Solid, to_grid: Similarity, config: MorphConfig) -> int:
+    """About how many particles a shape takes.
+
+    Raises:
+        MeshError: It reaches beyond the domain, or has room for too few.
+    """
+    reach = float(np.abs(to_grid.apply(solid.bounds)).max())
     if reach > config.domain:
         raise MeshError(
-            f"{row.name} reaches {reach:.4g} grid units from the centre, and the domain ends at "
+            f"{name} reaches {reach:.4g} grid units from the centre, and the domain ends at "
             f"{config.domain:g}.",
-            remedy,
+            FIT_REMEDY,
         )
-    count = round(report["volume"] * per_unit)
-    if count < MINIMUM_PARTICLES:
+    volume = solid.volume * to_grid.scale**3
+    count = round(volume * config.sampling.points_per_cell_edge**3)
+    if count < MINIMUM_PARTICLES and not solid.built_in:
         raise MeshError(
-            f"{row.name} has room for about {count} particles, fewer than {MINIMUM_PARTICLES}.",
-            remedy,
+            f"{name} has room for about {count} particles, fewer than {MINIMUM_PARTICLES}.",
+            f"Raise `sampling.points_per_cell_edge`. {FIT_REMEDY}",
         )
-    return count, row.name
-
-
-@lru_cache(maxsize=1000)
-def _check_built_in(name: str) -> None:
-    """Refuse a shape that cannot be made; only a text has to be tried."""
-    if name not in shapes.names():
-        shapes.make(name)
+    return count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,11 +12,16 @@ import anyio
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from chamfer_morph.schemas import Fit, FrameFormat
+from chamfer_morph.schemas import BuiltInShape, Fit, FrameFormat, MeshShape
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
+from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http import array_encoding
+from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes import meshes
+from chamfer_morph.server.solids import find_solid
+from chamfer_morph.worker.sandbox.computations import OtherEnd
+from morph_engine.results.run_record import Role
 from morph_engine.sections import GridConfig
 
 router: APIRouter = APIRouter(route_class=AuthenticatedRoute)
@@ -23,11 +29,14 @@ router: APIRouter = APIRouter(route_class=AuthenticatedRoute)
 EXTENT = GridConfig().half_extent
 """Half edge of the usual domain [grid units]."""
 
+Address = Annotated[str, Field(min_length=1, max_length=64)]
+
 RESPONSES = array_encoding.array_responses(
     "Positions of all particles.",
     {
         "Morph-Count": ("integer", "Number of particles."),
         "Morph-Warnings": ("string", "What to know of the shape: a JSON list of sentences."),
+        "Morph-Placement": ("string", "What `auto` does to both shapes, a sentence; or nothing."),
     },
 )
 
@@ -38,7 +47,13 @@ class Sampling(BaseModel):
     points_per_cell_edge: int = Field(
         3, ge=1, le=8, description="Lattice points per grid unit and axis."
     )
-    fit: Fit = Field("auto", description="How to place it; `auto` scales only what does not fit.")
+    fit: Fit = Field("auto", description="How to place it, as the setting `sampling.fit`.")
+    source: Address | None = Field(
+        None, description="What is to become it, which `auto` looks at: a shape or a mesh's id."
+    )
+    target: Address | None = Field(
+        None, description="What it is to become, likewise; one of both at most."
+    )
     format: FrameFormat = Field("u16", description="How to encode the positions.")
 
 
@@ -61,7 +76,7 @@ async def get_mesh_particles(
     row, path = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
     report = context.storage.mesh_report(mesh_id) or {}
     warnings = report.get("warnings", [])
-    return await _particles(path, row.name, warnings, sampling, request, context)
+    return await _particles(path, row.name, warnings, sampling, request, caller, context)
 
 
 @router.get(
@@ -80,7 +95,7 @@ async def get_shape_particles(
     sampling: Annotated[Sampling, Query()],
 ) -> Response:
     """The particles that a job would fill the shape with; `text:WORD` is one, too."""
-    return await _particles(shape, shape, [], sampling, request, context)
+    return await _particles(shape, shape, [], sampling, request, caller, context)
 
 
 async def _particles(
@@ -89,15 +104,38 @@ async def _particles(
     warnings: list[str],
     sampling: Sampling,
     request: Request,
+    caller: Caller,
     context: ServerContext,
 ) -> Response:
+    other = await anyio.to_thread.run_sync(_other, sampling, caller, context)
     per_edge, fit = sampling.points_per_cell_edge, sampling.fit
-    compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit)
-    sample = await context.previews.get((shape, per_edge, fit), compute, request)
+    compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit, other)
+    key = (shape, per_edge, fit, sampling.source, sampling.target)
+    sample = await context.previews.get(key, compute, request)
     headers = {
         "Morph-Count": str(len(sample.positions)),
-        "Morph-Warnings": json.dumps([*warnings, *sample.warnings]),
+        "Morph-Warnings": json.dumps(warnings),
+        "Morph-Placement": sample.placement,
     }
     return await anyio.to_thread.run_sync(
         array_encoding.array_response, request, sample.positions, sampling.format, EXTENT, headers
     )
+
+
+def _other(sampling: Sampling, caller: Caller, context: ServerContext) -> OtherEnd | None:
+    """The other shape of the morph, if the request names one.
+
+    Raises:
+        MorphError: It cannot be found.
+        ProblemError: 422, it cannot be found, or both ends are named.
+    """
+    if sampling.source and sampling.target:
+        raise ProblemError(422, "Both source and target are given.", "Leave one of them out.")
+    role: Role = "source" if sampling.source else "target"
+    address = sampling.source or sampling.target
+    if address is None:
+        return None
+    is_mesh = re.fullmatch("[0-9a-f]{64}", address)
+    shape = MeshShape(mesh=address) if is_mesh else BuiltInShape(shape=address)
+    solid, _ = find_solid(shape, caller, context, ("query", role))
+    return OtherEnd(role, solid)

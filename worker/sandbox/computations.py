@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from chamfer_morph.worker.sandbox.runner import (
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.errors import MeshError, MorphError, ResourceError
+from morph_engine.geometry.placement import Solid
+from morph_engine.results.run_record import Role
 
 TASKS = "chamfer_morph.worker.tasks"
 
@@ -42,11 +44,23 @@ class SampledShape:
 
     Attributes:
         positions: Particle positions [grid units], shape [n, 3], float32.
-        warnings: What a user should know of the shape, one sentence each.
+        placement: What the fit does to both shapes, a sentence; empty where they stay.
     """
 
     positions: NDArray[np.float32]
-    warnings: tuple[str, ...]
+    placement: str
+
+
+class OtherEnd(NamedTuple):
+    """The other shape of a morph, which the fit looks at.
+
+    Attributes:
+        role: Which end it is.
+        solid: Its size and place.
+    """
+
+    role: Role
+    solid: Solid
 
 
 class Sandbox:
@@ -78,6 +92,7 @@ class Sandbox:
         name: str,
         points_per_cell_edge: int,
         fit: Fit,
+        other: OtherEnd | None,
         computation: Computation,
     ) -> SampledShape:
         """Fill a shape with particles as a job would whose seed and lattice are the usual ones.
@@ -87,7 +102,8 @@ class Sandbox:
                 a path.
             name: What the user calls it.
             points_per_cell_edge: Lattice points per grid unit and axis.
-            fit: As in the configuration; `auto` scales only what does not fit the domain.
+            fit: As in the configuration.
+            other: The other end of the morph; None for a shape like it.
             computation: Told of the child.
 
         Raises:
@@ -103,10 +119,13 @@ class Sandbox:
             "name": name,
             "points_per_cell_edge": points_per_cell_edge,
             "fit": fit,
+            "other_role": other.role if other else None,
+            "other_volume": other.solid.volume if other else 0.0,
+            "other_bounds": other.solid.bounds.tolist() if other else None,
         }
         answer = self._read_mesh("sample_shape", arguments, computation)
         positions = np.frombuffer(answer.binary, "<f4").reshape(-1, 3)
-        return SampledShape(positions, tuple(answer.value))
+        return SampledShape(positions, answer.value)
 
     def reconstruct_surface(self, job_id: str, index: int, computation: Computation) -> None:
         """Compute the surface of a frame that is there, counted from 0, and keep it.

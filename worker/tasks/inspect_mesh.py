@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from morph_engine.geometry.mesh import load_mesh
-from morph_engine.geometry.sampling import fit_to_domain
-from morph_engine.ingest import check_mesh
+from morph_engine.ingest import check_mesh, fitted
 from morph_engine.ingest import inspect_mesh as ingest_report
 
 
@@ -26,6 +25,6 @@ def run(path: Path, name: str) -> dict[str, Any]:
         MeshError: It is no mesh, or cannot be filled with particles.
     """
     mesh = replace(load_mesh(path), name=name)
-    check_mesh(fit_to_domain(mesh, mode="volume")[0])
+    check_mesh(fitted(mesh, "auto")[0])
     report: dict[str, Any] = ingest_report(mesh).model_dump(mode="json")
     return report

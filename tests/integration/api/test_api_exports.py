@@ -244,5 +244,5 @@ def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) 
             assert any(array.shape[-2:] == run.source_points.shape for array in arrays.values())
         with pytest.raises(ServiceError, match="plx"):
             client.export(job, tmp_path / "no", "plx")
-        with pytest.raises(ServiceError, match="--surface"):
+        with pytest.raises(ServiceError, match="`surface`"):
             client.export(job, tmp_path / "no", "ply", snap=True)

@@ -97,8 +97,16 @@ def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) ->
     large = cube.replace(b"10", b"1000")
     mesh = api.http.post("/v1/meshes?name=large.obj", content=large).json()["id"]
     answer = api.http.get(f"/v1/meshes/{mesh}/particles?points_per_cell_edge=2")
-    (warning,) = json.loads(answer.headers["Morph-Warnings"])
-    assert "scaled" in warning and np.abs(decoded(answer)).max() < 14
+    assert "scaled" in answer.headers["Morph-Placement"] and np.abs(decoded(answer)).max() < 14
+    beside = api.http.get(f"/v1/meshes/{mesh}/particles?source=sphere&points_per_cell_edge=2")
+    assert beside.headers["Morph-Placement"].startswith("The target is scaled by")
+    own = api.http.get(f"/v1/shapes/sphere/particles?target={mesh}&points_per_cell_edge=2")
+    assert own.headers["Morph-Placement"] == beside.headers["Morph-Placement"]
+    wanted = prepare("sphere", "star", configure("fast", COARSE)).source_points
+    np.testing.assert_allclose(decoded(own), wanted, atol=3e-4)
+    for query in ("source=spere", f"target={'0' * 64}", "source=star&target=star"):
+        answer = api.http.get(f"/v1/meshes/{mesh}/particles?{query}")
+        assert answer.status_code == 422 and answer.json()["remedy"]
     refused = api.http.get(f"/v1/meshes/{mesh}/particles?fit=none")
     assert refused.status_code == 422 and "volume" in refused.json()["remedy"]
     secret = tmp_path / "secret.obj"
@@ -126,4 +134,4 @@ def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
             api.http.get(f"{path}6", timeout=0.3)
         assert first.result().status_code == 200
     assert api.http.get(f"{path}2").status_code == 200
-    assert {points_per_cell_edge for _, points_per_cell_edge, _ in previews._cache} == {5, 2}
+    assert {points_per_cell_edge for _, points_per_cell_edge, *_ in previews._cache} == {5, 2}

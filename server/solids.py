@@ -1,0 +1,51 @@
+"""Size and place of shapes, known without computing anything of them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from chamfer_morph.schemas import MeshShape, Shape
+from chamfer_morph.server.context import ServerContext
+from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.http.problems import ProblemError
+from morph_engine.errors import MeshError
+from morph_engine.geometry import shapes
+from morph_engine.geometry.placement import Solid
+
+
+def find_solid(
+    shape: Shape, caller: Caller, context: ServerContext, loc: tuple[str, ...]
+) -> tuple[Solid, str]:
+    """What placing a shape needs to know of it, and the shape's name.
+
+    Args:
+        shape: An upload that the caller may see, or a built-in shape.
+        caller: Who asks.
+        context: What endpoints share.
+        loc: Where the request names the shape.
+
+    Raises:
+        MeshError: There is no such built-in shape, or the mesh has been deleted.
+        ProblemError: 422, there is no such mesh.
+    """
+    if not isinstance(shape, MeshShape):
+        return _built_in(shape.shape), shape.shape
+    row = context.meshes.get(caller.owner_filter, shape.mesh)
+    if row is None or context.storage.mesh_file(shape.mesh) is None:
+        raise ProblemError(
+            422,
+            f"There is no mesh {shape.mesh}.",
+            "Upload it first, with POST /v1/meshes.",
+            errors=[{"loc": list(loc), "msg": "unknown mesh", "type": "unknown"}],
+        )
+    report = context.storage.mesh_report(shape.mesh)
+    if report is None:
+        raise MeshError(f"The mesh {row.name} has been deleted meanwhile.", "Upload it again.")
+    return Solid(report["volume"], np.array(report["bounds"], np.float64)), row.name
+
+
+@lru_cache(maxsize=1000)
+def _built_in(name: str) -> Solid:
+    return Solid.of(shapes.make(name))
