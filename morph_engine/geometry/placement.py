@@ -81,6 +81,8 @@ def place(
     3. one scale for both, each centred alone, so that their sizes stay as they are to each other;
     4. each alone: as it is, or else as by `volume`.
 
+    Beside a built-in shape 2 and 3 are left out: it stays, and the other one is fitted to it.
+
     Args:
         source: The source; None for a point cloud, which stays as it is.
         target: The target, likewise.
@@ -128,6 +130,9 @@ def _auto(source: Solid, target: Solid, half_extent: float) -> tuple[Pair, str]:
 
     if both_suit(Similarity(), Similarity()):
         return (Similarity(), Similarity()), ""
+    stays = [suits(*each, Similarity()) for each in zip(solids, usual, strict=True)]
+    if source.built_in or target.built_in:
+        return _each_alone(usual, stays)
     every = np.stack([solid.bounds for solid in solids])
     union = np.stack([every[:, 0].min(axis=0), every[:, 1].max(axis=0)])
     together = _centred(union, min(usual[0].scale, _scale_to(union, reach)))
@@ -139,7 +144,11 @@ def _auto(source: Solid, target: Solid, half_extent: float) -> tuple[Pair, str]:
     if both_suit(*one_scale):
         text = f"Both shapes are scaled by {_number(scale)} and each is centred"
         return one_scale, text + REASON
-    stays = [suits(*each, Similarity()) for each in zip(solids, usual, strict=True)]
+    return _each_alone(usual, stays)
+
+
+def _each_alone(usual: list[Similarity], stays: list[bool]) -> tuple[Pair, str]:
+    """Each shape as it is, if it may stay, or else of usual size; and that in words."""
     first, last = (
         Similarity() if stay else alone for stay, alone in zip(stays, usual, strict=True)
     )

@@ -220,13 +220,15 @@ def serious_faults() -> Callable[[Page], list[str]]:
 
 @pytest.fixture(scope="session")
 def mesh_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Mesh files: a ball and a box that work, and a sheet that bounds no volume."""
+    """Mesh files: a ball and a box as large as usual, a pebble far off, a sheet without volume."""
     folder = tmp_path_factory.mktemp("meshes")
     shapes = {
         "ball.obj": trimesh.creation.icosphere(subdivisions=2, radius=6.0),
         "box.stl": trimesh.creation.box((9.0, 9.0, 9.0)),
+        "pebble.obj": trimesh.creation.icosphere(subdivisions=2, radius=1.4),
         "sheet.obj": trimesh.Trimesh([[0, 0, 0], [5, 0, 0], [0, 5, 0]], [[0, 1, 2]]),
     }
+    shapes["pebble.obj"].apply_translation((300.0, -20.0, 5.0))
     for name, mesh in shapes.items():
         mesh.export(folder / name)
     return {name: folder / name for name in shapes}

@@ -88,6 +88,141 @@ def test_a_bad_mesh_is_refused_in_words(mesh_files, page):
     expect(alert).to_have_count(0)
 
 
+def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files, page):
+    """A pebble far from the origin needs no setting; the page says what was done, and undoes it."""
+    page.goto("/new")
+    from_card = card(page, "From")
+    from_card.get_by_label("Mesh file of the source").set_input_files(mesh_files["pebble.obj"])
+    said = page.get_by_text("The source is scaled by")
+    expect(said).to_contain_text("your own coordinates")
+    expect(from_card.get_by_role("status")).to_contain_text("particles")
+    page.get_by_role("button", name="Keep shapes as they are").click()
+    expect(said).to_have_count(0)
+    fit = page.get_by_label("Fit into the domain", exact=True)
+    expect(fit).to_have_value("none")
+    expect(page.get_by_text("Shapes keep the size and place")).to_be_visible()
+    trouble = from_card.get_by_role("alert").filter(has_text="pebble.obj")
+    expect(trouble).to_contain_text("“Fit into the domain”")
+    expect(trouble).not_to_contain_text("--")
+    expect(from_card.locator("canvas")).to_be_hidden()
+    page.get_by_role("button", name="Scale and centre them").click()
+    expect(said).to_be_visible()
+    expect(fit).to_have_value("auto")
+    expect(from_card.locator("canvas")).to_be_visible()
+    make_it_small(page)
+    page.get_by_role("button", name="Morph").click()
+    page.wait_for_url("**/jobs/*")
+    job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
+    assert job["state"] == "succeeded"
+    expect(page.get_by_role("listitem").filter(has_text="The source is scaled by")).to_be_visible()
+
+
+RECORD = """() => {
+    const [card] = document.querySelectorAll(".chooser");
+    const cost = document.querySelector(".send p");
+    const look = () => {
+        const canvas = card.querySelector("canvas");
+        const drawn = canvas !== null && getComputedStyle(canvas).visibility !== "hidden";
+        return {
+            count: card.querySelector(".count").textContent,
+            name: card.querySelector("strong")?.textContent ?? "",
+            cost: cost.textContent,
+            drawn,
+        };
+    };
+    window.seen = [];
+    window.recorder?.disconnect();
+    window.recorder = new MutationObserver(() => window.seen.push(look()));
+    const options = { subtree: true, childList: true, characterData: true, attributes: true };
+    window.recorder.observe(document.querySelector("form"), options);
+    return look();
+}"""
+"""Keeps what the first card and the cost show whenever anything of the form changes."""
+
+NOTHING = {"count": "", "name": "", "cost": "", "drawn": False}
+
+
+def drop(page, *files):
+    """Drop files on the first card, one right after the other."""
+    page.evaluate(
+        """files => {
+            for (const [name, text] of files) {
+                const dataTransfer = new DataTransfer();
+                dataTransfer.items.add(new File([text], name));
+                const options = { dataTransfer, bubbles: true, cancelable: true };
+                document.querySelector(".chooser").dispatchEvent(new DragEvent("drop", options));
+            }
+        }""",
+        [[file.name, file.read_text()] for file in files],
+    )
+
+
+def wait_for_particles(page):
+    """Until the first card shows what is chosen, and what it costs if it is a mesh."""
+    expect(card(page, "From").locator(".count")).to_have_text(re.compile("particles$"))
+    expect(card(page, "From").locator("canvas")).to_be_visible()
+
+
+def test_what_is_shown_is_what_is_chosen(mesh_files, page):
+    """At every moment: a bad file after a good one, another kind, a word typed, two fast drops.
+
+    Whatever is done, particles, their number, the mesh and the time that were shown before are
+    never seen after it.
+    """
+    ball, sheet, pebble = (mesh_files[f"{name}.obj"] for name in ("ball", "sheet", "pebble"))
+    from_card = card(page, "From")
+
+    def act(do, settle):
+        """What is shown from an action until it has settled, and what was shown before."""
+        before = page.evaluate(RECORD)
+        do()
+        settle()
+        seen = page.evaluate("window.seen")
+        assert seen
+        for now in seen:
+            for part in ("count", "name", "cost"):
+                assert now[part] != before[part] or not now[part], f"{part}: {now}"
+        assert not seen[0]["drawn"]
+        return seen
+
+    def good(file):
+        drop(page, file)
+        expect(from_card).to_contain_text(f"{file.name}:")
+        wait_for_particles(page)
+        expect(page.get_by_text("Usually about")).to_be_visible()
+
+    page.goto("/new")
+    wait_for_particles(page)
+    good(ball)
+    refused = from_card.get_by_role("alert").filter(has_text="sheet.obj")
+    seen = act(lambda: drop(page, sheet), refused.wait_for)
+    assert seen[-1] == NOTHING
+    page.get_by_label("Frames", exact=True).fill("7")
+    page.get_by_label("Frames", exact=True).blur()
+    expect(page.get_by_text("1 setting changed")).to_be_attached()
+    assert page.evaluate(RECORD) == NOTHING, "another setting does not bring it back"
+    page.get_by_role("button", name="Morph").click()
+    expect(from_card.get_by_role("alert")).to_contain_text("Choose another mesh file")
+    good(ball)
+    act(from_card.get_by_role("radio", name="Text").check, lambda: None)
+    assert page.evaluate(RECORD) == NOTHING
+    word = from_card.get_by_label("Word")
+    act(lambda: word.press_sequentially("A"), lambda: wait_for_particles(page))
+    seen = act(lambda: word.press_sequentially(" "), lambda: None)
+    assert seen[-1] == NOTHING
+    word.press("Backspace")
+    wait_for_particles(page)
+    word.blur()
+    act(from_card.get_by_role("radio", name="Built-in").check, lambda: wait_for_particles(page))
+    good(ball)
+    names = from_card.locator("strong")
+    seen = act(lambda: drop(page, sheet, pebble), lambda: expect(names).to_have_text("pebble.obj"))
+    expect(refused).to_have_count(0)
+    wait_for_particles(page)
+    seen = act(lambda: drop(page, pebble, ball), lambda: expect(names).to_have_text("ball.obj"))
+    assert {now["name"] for now in seen} == {"", "ball.obj"}
+
+
 def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
     """Uploads are kept by the service; a word becomes solid letters."""
     ball = mesh_files["ball.obj"]

@@ -83,6 +83,8 @@ def test_only_what_needs_it_is_scaled():
     placement = place(Solid.of(make("sphere")), cube(2.8), fit="auto")
     assert placement.source == AS_IT_IS
     assert placement.message.startswith("The target is scaled by 3.99 and centred")
+    aside = solid([13, -7, -7], [27, 7, 7])  # beside a file, both would be moved alike
+    assert place(Solid.of(make("sphere")), aside, fit="auto").source == AS_IT_IS
 
 
 @pytest.mark.parametrize("half_extent", [8.0, 16.0, 40.0])

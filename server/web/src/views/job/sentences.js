@@ -15,9 +15,10 @@ const SAY = {
       ? `Attempt ${attempt} went on after ${plural(resumed, "frame")}.`
       : `Attempt ${attempt} began.`,
   stage: ({ stage }) => STAGES[stage],
-  watchdog: ({ frame, message, kind }) => `Frame ${frame + 1}: ${message || kind}`,
+  watchdog: ({ frame, message, kind }) =>
+    kind === "placement" ? message : `Frame ${frame + 1}: ${message || kind}`,
   problem: ({ cause, remedy, retry }) =>
-    [cause, remedy, retry && "It is tried again."].filter(Boolean).join(" "),
+    [cause, remedy, retry && "It is tried again."].filter(Boolean).join(" ").replaceAll("`", ""),
   state: ({ state }) => `${stateWord(state)}.`,
 };
 

@@ -4,7 +4,7 @@ import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
 import { count, duration, jobName, lives, number, plural, state as word, when } from "../../format.js";
 import { go } from "../../navigation.js";
-import { problemNotice } from "../../problem_notice.js";
+import { inTitles, problemNotice } from "../../problem_notice.js";
 import { MAX_COMPARED } from "../compare/max_compared.js";
 import { actions } from "../jobs/actions.js";
 import { STAGES } from "./sentences.js";
@@ -169,7 +169,7 @@ function problemOf({ problem }) {
   return h(
     "div",
     { class: "notice bad" },
-    h("p", null, problem.cause),
-    problem.remedy && h("p", { class: "quiet" }, problem.remedy),
+    h("p", null, inTitles(problem.cause)),
+    problem.remedy && h("p", { class: "quiet" }, inTitles(problem.remedy)),
   );
 }

@@ -16,12 +16,15 @@ export class Chooser {
    * @param {"source"|"target"} role
    * @param {string} label what it is to the user
    * @param {Array<{name: string}>} shapes that need no file
-   * @param {(shape: object) => void} changed hears {shape} or {mesh}
+   * @param {object} heard
+   * @param {(shape: object) => void} heard.changed hears {shape} or {mesh}
+   * @param {() => void} heard.unsettled nothing is chosen until `changed`
+   * @param {(message: string) => void} heard.placed hears what the fit does to both shapes, or ""
    * @param {AbortSignal} signal
    */
-  constructor(role, label, shapes, changed, signal) {
-    Object.assign(this, { role, label, changed, signal });
-    this.preview = new Preview(`Particles of the ${role}`, signal);
+  constructor(role, label, shapes, { changed, unsettled, placed }, signal) {
+    Object.assign(this, { role, label, changed, unsettled, signal });
+    this.preview = new Preview(`Particles of the ${role}`, signal, placed);
     this.trouble = h("div");
     this.report = h("div");
     this.panels = {
@@ -55,8 +58,15 @@ export class Chooser {
     this.takeDrops();
   }
 
-  /** Show a shape, and its particles as they would be sampled. */
-  show(shape, sampling) {
+  /**
+   * Show a shape, and its particles as they would be sampled.
+   *
+   * @param {object} shape the choice, which is not shown while another one is being made
+   * @param {object} sampling how to fill it
+   * @param {object} other the other end of the morph
+   */
+  show(shape, sampling, other) {
+    if (this.missing()) return;
     const kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
     const address = shape.mesh ?? shape.shape;
     this.kind = kind;
@@ -65,18 +75,46 @@ export class Chooser {
       this.choose(kind);
       fill(this.report);
       if (kind === "file") this.describe(shape.mesh);
-      if (kind === "text") this.word.value = address.slice(TEXT.length);
+      if (kind === "text" && document.activeElement !== this.word) {
+        this.word.value = address.slice(TEXT.length);
+      }
       for (const button of this.panels.shape.querySelectorAll("input")) {
         button.checked = button.value === address;
       }
     }
-    this.preview.show(shape, sampling);
+    // a built-in shape stays as it is beside any other
+    const end = this.role === "source" ? "target" : "source";
+    const beside = shape.mesh ? { [end]: other.mesh ?? other.shape } : {};
+    this.preview.show(shape, { ...sampling, ...beside });
+  }
+
+  /** Nothing is chosen: show nothing of what was. */
+  clear() {
+    this.address = null;
+    this.kind = null;
+    fill(this.report);
+    this.preview.clear();
+    this.unsettled();
+  }
+
+  /** Take a choice, which is complete. */
+  settle(shape) {
+    this.failed = false;
+    this.uploading?.abort();
+    this.uploading = null;
+    fill(this.trouble);
+    if ((shape.mesh ?? shape.shape) !== this.address) this.clear();
+    this.kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
+    this.changed(shape);
   }
 
   /** Take a file that was dropped or picked. */
   async take(file) {
     this.choose("file");
     fill(this.trouble);
+    this.failed = false;
+    this.earlier.value = "";
+    this.clear();
     const bar = h("progress", { max: 1, value: 0, "aria-label": `Upload of ${file.name}` });
     const said = h("p", { class: "small", role: "status" }, `Sending ${file.name}`);
     fill(this.sending, bar, said);
@@ -92,24 +130,19 @@ export class Chooser {
       const mesh = await upload("/meshes", file, { query, signal, onProgress });
       this.known.set(mesh.id, mesh);
       this.listEarlier();
-      if (!signal.aborted) this.changed({ mesh: mesh.id });
+      if (!signal.aborted) this.settle({ mesh: mesh.id });
     } catch (error) {
       if (signal.aborted) return;
       if (error.name !== "Problem") throw error;
+      this.failed = true;
       fill(this.trouble, problemNotice(error));
     } finally {
-      if (this.uploading === own) {
+      if (own === this.uploading || !this.uploading) {
         this.uploading = null;
         fill(this.sending);
         this.picker.value = "";
       }
     }
-  }
-
-  /** Take another choice than a file that is being sent. */
-  pick(shape) {
-    this.uploading?.abort();
-    this.changed(shape);
   }
 
   /** Whether the choice is not finished; then it says so, where it can be finished. */
@@ -123,6 +156,7 @@ export class Chooser {
 
   missing() {
     if (this.uploading) return ["The file is still being sent.", this.picker];
+    if (this.failed) return ["Choose another mesh file, or another kind of shape.", this.picker];
     if (this.kinds.file.input.checked && this.kind !== "file") {
       return ["Choose a mesh file, or another kind of shape.", this.picker];
     }
@@ -140,12 +174,14 @@ export class Chooser {
   kindButton(kind, text) {
     const change = () => {
       fill(this.trouble);
-      if (kind !== "file") this.uploading?.abort();
+      this.uploading?.abort();
+      this.failed = false;
       this.choose(kind);
       const chosen = this.panels.shape.querySelector("input:checked");
-      if (kind === "shape") this.changed({ shape: chosen?.value ?? this.shapes[0] });
-      if (kind === "file" && this.earlier.value) this.pick({ mesh: this.earlier.value });
-      if (kind === "text" && this.word.value) this.changed({ shape: TEXT + this.word.value });
+      if (kind === "shape") this.settle({ shape: chosen?.value ?? this.shapes[0] });
+      else if (kind === "file" && this.earlier.value) this.settle({ mesh: this.earlier.value });
+      else if (kind === "text" && this.word.checkValidity()) this.settle({ shape: TEXT + this.word.value });
+      else this.clear();
     };
     const input = h("input", { type: "radio", name: `${this.role}-kind`, value: kind, on: { change } });
     return { input, element: h("label", { class: "segment" }, input, h("span", null, text)) };
@@ -162,7 +198,10 @@ export class Chooser {
       "aria-label": `Mesh file of the ${this.role}`,
       on: { change: (event) => event.target.files[0] && this.take(event.target.files[0]) },
     });
-    const change = (event) => event.target.value && this.pick({ mesh: event.target.value });
+    const change = (event) => {
+      if (event.target.value) this.settle({ mesh: event.target.value });
+      else this.clear();
+    };
     this.earlier = h("select", { id: `${this.role}-earlier`, on: { change } });
     this.earlierField = h(
       "div",
@@ -209,7 +248,7 @@ export class Chooser {
 
   shapePanel(shapes) {
     this.shapes = shapes.map(({ name }) => name);
-    const change = (event) => this.pick({ shape: event.target.value });
+    const change = (event) => this.settle({ shape: event.target.value });
     return h(
       "fieldset",
       null,
@@ -236,7 +275,10 @@ export class Chooser {
       fill(trouble, fine ? "" : "Give up to 58 letters and digits without spaces.");
       this.word.toggleAttribute("aria-invalid", false);
       if (!fine) this.word.setAttribute("aria-invalid", "true");
-      else this.changed({ shape: TEXT + this.word.value });
+    };
+    const typed = () => {
+      if (this.word.checkValidity()) this.settle({ shape: TEXT + this.word.value });
+      else this.clear();
     };
     this.word = h("input", {
       id: `${this.role}-text`,
@@ -247,7 +289,7 @@ export class Chooser {
       autocomplete: "off",
       spellcheck: "false",
       "aria-describedby": `${this.role}-text-hint ${this.role}-text-fault`,
-      on: { change },
+      on: { input: typed, change },
     });
     return h(
       "div",
@@ -294,6 +336,5 @@ function report({ name, report: seen }) {
     { class: "small" },
     h("strong", null, name),
     `: ${count(seen.face_count)} triangles${parts}, ${seen.watertight ? "closed" : "open"}`,
-    !seen.fits_domain && "; larger than the domain, so choose a way to fit below",
   );
 }

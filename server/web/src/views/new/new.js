@@ -6,6 +6,7 @@ import { bytes, duration, plural } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
+import { TITLES } from "../../setting_titles.js";
 import { Chooser } from "./chooser.js";
 import { fromJob, fromQuery, settingsOf, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
@@ -13,11 +14,7 @@ import { settings } from "./schema.js";
 import { Settings } from "./settings.js";
 import "./new.css";
 
-const MAIN = {
-  frames: "Frames",
-  "sampling.points_per_cell_edge": "Particles per cell edge",
-  "sampling.fit": "Fit into the domain",
-};
+const FIT = "sampling.fit";
 
 export async function show(root, params, signal) {
   setTitle("New morph");
@@ -47,11 +44,16 @@ class Form {
     Object.assign(this, { draft, signal });
     this.key = freshKey();
     this.presets = new Map();
-    const choose = (role) => (shape) => this.changed({ [role]: shape });
-    this.source = new Chooser("source", "From", shapes, choose("source"), signal);
-    this.target = new Chooser("target", "To", shapes, choose("target"), signal);
+    const heard = (role) => ({
+      changed: (shape) => this.changed({ [role]: shape }),
+      unsettled: () => this.unsettled(),
+      placed: (message) => message && this.showFit(message),
+    });
+    this.fitting = h("p", { class: "notice fitting", role: "status", hidden: true });
+    this.source = new Chooser("source", "From", shapes, heard("source"), signal);
+    this.target = new Chooser("target", "To", shapes, heard("target"), signal);
     this.methods = new Methods(methods, (names) => this.changed({ methods: names }));
-    this.settings = new Settings(settings(schema), MAIN, (path, value) => this.set(path, value));
+    this.settings = new Settings(settings(schema), TITLES, (path, value) => this.set(path, value));
     this.preset = this.presetField(presets);
     this.name = h("input", {
       id: "name",
@@ -68,6 +70,7 @@ class Form {
       { class: "stack new", novalidate: true, on: { submit: (event) => this.send(event) } },
       h("h1", null, "New morph"),
       h("div", { class: "shapes" }, this.source.element, this.target.element),
+      this.fitting,
       h("section", { class: "stack part" }, this.methods.element),
       h(
         "section",
@@ -109,29 +112,68 @@ class Form {
     this.draft = { ...this.draft, ...change };
     this.key = freshKey();
     replaceQuery(toQuery(this.draft));
-    const { source, target, methods, preset, name, overrides } = this.draft;
+    if (change.source || change.target) this.unsettled();
+    const before = this.draft;
     const values = await this.valuesOf(this.draft);
-    if (this.signal.aborted || this.draft.preset !== preset || this.draft.methods !== methods) return;
+    if (this.signal.aborted || this.draft !== before) return; // a newer change shows itself
+    const { source, target, methods, preset, name, overrides } = this.draft;
     this.settings.show(values, overrides, methods);
     const value = (path) => overrides[path] ?? values[path];
-    const sampling = {
-      pointsPerCellEdge: value("sampling.points_per_cell_edge"),
-      fit: value("sampling.fit"),
-    };
-    this.source.show(source, sampling);
-    this.target.show(target, sampling);
+    const edge = value("sampling.points_per_cell_edge");
+    const fit = value(FIT);
+    const sampling = { points_per_cell_edge: edge, fit };
+    if (fit !== this.fit) this.hideFit();
+    this.fit = fit;
+    this.source.show(source, sampling, target);
+    this.target.show(target, sampling, source);
+    if (fit === "none" && (source.mesh || target.mesh)) this.showNoFit(FIT in overrides);
     this.methods.show(methods);
     this.preset.show(preset);
     if (document.activeElement !== this.name) this.name.value = name;
     const jobs = methods.length;
     fill(this.submit, jobs === 1 ? "Morph" : `Morph with ${jobs} methods`);
-    this.showCost(source, sampling.pointsPerCellEdge, value("frames"));
+    this.showCost(source, edge, fit, value("frames"));
+  }
+
+  /** What was said of the shapes holds no longer. */
+  unsettled() {
+    this.hideFit();
+    fill(this.cost);
+    this.costOf = null;
+  }
+
+  hideFit() {
+    this.fitting.hidden = true;
+    fill(this.fitting);
+  }
+
+  /** Say what the fit does, with a way to leave the shapes as they are. */
+  showFit(message) {
+    if (this.source.missing() || this.target.missing()) return;
+    const keep = async () => {
+      await this.set(FIT, "none");
+      this.fitting.querySelector("button")?.focus(); // of the way back
+    };
+    this.sayFit(message, "Keep shapes as they are", keep);
+  }
+
+  showNoFit(overridden) {
+    if (this.source.missing() || this.target.missing()) return;
+    const back = () => this.set(FIT, overridden ? undefined : "auto");
+    this.sayFit("Shapes keep the size and place that they have in their files.", "Scale and centre them", back);
+  }
+
+  sayFit(text, label, act) {
+    if (this.fitting.firstChild?.textContent === text) return; // which may have the focus
+    const button = h("button", { type: "button", class: "compact", on: { click: act } }, label);
+    fill(this.fitting, h("span", null, text), " ", button);
+    this.fitting.hidden = false;
   }
 
   set(path, value) {
     const { [path]: before, ...overrides } = this.draft.overrides;
     if (value !== undefined) overrides[path] = value;
-    this.changed({ overrides });
+    return this.changed({ overrides });
   }
 
   /** Values of a preset; where methods differ, that of the first one chosen. */
@@ -175,12 +217,13 @@ class Form {
     return { element, show };
   }
 
-  async showCost(source, edge, frames) {
+  async showCost(source, edge, fit, frames) {
     fill(this.cost);
-    if (!source.mesh) return;
+    const own = (this.costOf = {});
+    if (!source.mesh || fit !== "auto" || this.source.missing()) return;
     const mesh = await get(`/meshes/${source.mesh}`, { signal: this.signal }).catch(() => null);
     const seen = mesh?.report.resolutions.find((one) => one.points_per_cell_edge === edge);
-    if (!seen || this.draft.source !== source) return;
+    if (!seen || this.costOf !== own) return; // it is told of what is chosen by now
     const { seconds, memory_mb: memory } = seen.estimate;
     fill(
       this.cost,

@@ -10,9 +10,13 @@ const PATIENCE = 250; // [ms] of quiet before particles are asked for
 
 /** A small 3D view of the particles that a shape becomes, how many, and what is odd about them. */
 export class Preview {
-  constructor(label, signal) {
-    this.label = label;
-    this.signal = signal;
+  /**
+   * @param {string} label
+   * @param {AbortSignal} signal
+   * @param {(message: string) => void} placed hears what the fit does to both shapes, or ""
+   */
+  constructor(label, signal, placed) {
+    Object.assign(this, { label, signal, placed });
     this.scene = h("div", { class: "scene preview", tabindex: "0", role: "application", "aria-label": label });
     this.count = h("p", { class: "count small quiet", role: "status" });
     this.warnings = h("div", { class: "stack" });
@@ -23,37 +27,55 @@ export class Preview {
     });
   }
 
-  /** Show the particles of a shape at a number of points per cell edge and a way to fit. */
-  show(shape, { pointsPerCellEdge, fit }) {
-    const wanted = JSON.stringify([shape, pointsPerCellEdge, fit]);
-    if (wanted === this.wanted) return;
+  /**
+   * Show the particles of a shape, and until they are there nothing.
+   *
+   * @param {object} shape
+   * @param {object} query how to fill it, as the service takes it
+   */
+  show(shape, query) {
+    const wanted = JSON.stringify([shape, query]);
+    if (wanted === this.wanted) return this.placed(this.message);
+    this.clear();
     this.wanted = wanted;
+    this.scene.setAttribute("aria-busy", "true");
+    fill(this.count, "Filling the shape with particles");
+    const { signal } = this.asking;
+    this.timer = setTimeout(() => this.ask(shape, query, signal), PATIENCE);
+  }
+
+  /** Show nothing, at once. */
+  clear() {
+    this.wanted = null;
+    this.message = ""; // what the fit does
     this.asking.abort();
     this.asking = new AbortController();
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.ask(shape, pointsPerCellEdge, fit, this.asking.signal), PATIENCE);
+    this.scene.removeAttribute("aria-busy");
+    this.scene.classList.add("empty");
+    fill(this.count);
+    fill(this.warnings);
   }
 
-  async ask(shape, edge, fit, signal) {
+  async ask(shape, query, signal) {
     const path = shape.mesh
       ? `/meshes/${shape.mesh}/particles`
       : `/shapes/${encodeURIComponent(shape.shape)}/particles`;
-    this.scene.setAttribute("aria-busy", "true");
-    fill(this.count, "Filling the shape with particles");
     try {
-      const query = { points_per_cell_edge: edge, fit };
       const { positions, count, headers } = await points(path, { query, signal });
       fill(this.count, plural(count, "particle"));
       const warnings = JSON.parse(headers.get("Morph-Warnings") ?? "[]");
       fill(this.warnings, warnings.map((text) => h("p", { class: "notice warn" }, text)));
-      await this.draw(positions).catch((error) => this.undrawable(error));
+      this.message = headers.get("Morph-Placement") ?? "";
+      this.placed(this.message);
+      await this.draw(positions, signal).catch((error) => this.undrawable(error));
     } catch (error) {
       if (signal.aborted || this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.count);
       fill(this.warnings, problemNotice(error));
     } finally {
-      this.scene.removeAttribute("aria-busy");
+      if (!signal.aborted) this.scene.removeAttribute("aria-busy");
     }
   }
 
@@ -63,10 +85,10 @@ export class Preview {
     this.warnings.append(h("p", { class: "quiet small" }, "This browser does not show 3D graphics."));
   }
 
-  async draw(positions) {
+  async draw(positions, signal) {
     if (!this.viewer) {
       const { Viewer } = await import("../../viewer/viewer.js");
-      if (this.signal.aborted) return;
+      if (this.signal.aborted || signal.aborted) return;
       this.viewer ??= new Viewer(this.scene, {
         reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches,
       });
@@ -74,5 +96,6 @@ export class Preview {
     this.viewer.setUp(upright());
     this.viewer.canvas.setAttribute("aria-label", this.label);
     this.viewer.setFrame(0, positions);
+    this.scene.classList.remove("empty");
   }
 }
