@@ -29,7 +29,7 @@ def test_too_little_memory_is_refused_before_the_run(record, monkeypatch, tmp_pa
         morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=10_000_000)
     )
     out = tmp_path / "result.vtkhdf"
-    with pytest.raises(ResourceError, match=r"10 MB are free.*--points-per-cell-edge"):
+    with pytest.raises(ResourceError, match=r"10 MB are free.*points_per_cell_edge"):
         next(iter(morphing.run(record, out=out)))
     assert list(tmp_path.iterdir()) == []
 
@@ -48,6 +48,6 @@ def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path
     """The message says how much is needed, how much is free, and what to change."""
     monkeypatch.setattr(morphing.psutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
     out = tmp_path / "result.vtkhdf"
-    with pytest.raises(ResourceError, match=r"1 MB are free.*--out"):
+    with pytest.raises(ResourceError, match=r"1 MB are free.*`out`"):
         next(iter(morphing.run(record, out=out)))
     assert list(tmp_path.iterdir()) == []

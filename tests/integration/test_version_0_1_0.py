@@ -43,7 +43,12 @@ STORED_PRESETS = {"fast": "fast-3", "published": "published-1"}
 
 def expected(method: str) -> MorphConfig:
     """The configuration of a stored run."""
-    shared = {"frames": 3, "sampling.points_per_cell_edge": 2, "grid.half_extent": 6.0}
+    shared = {
+        "frames": 3,
+        "sampling.points_per_cell_edge": 2,
+        "sampling.fit": "none",  # then the only default
+        "grid.half_extent": 6.0,
+    }
     preset = "published" if method == "joint" else "fast"
     config = configure(preset, {"method": method, **shared, **METHODS[method]})
     return config.model_copy(update={"preset": STORED_PRESETS[preset]})

@@ -121,6 +121,8 @@ export class Downloads {
     ]);
     const units = choose("Lengths in", [
       ["user", "Your units"],
+      ["source", "Those of the source"],
+      ["target", "Those of the target"],
       ["grid", "Grid units"],
     ]);
     const explain = h("p", { class: "quiet small" });
