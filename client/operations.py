@@ -323,6 +323,8 @@ class Operations:
         frames: Iterable[int] | None = None,
         surface: bool = False,
         snap: bool = False,
+        tracked: bool = False,
+        fps: float | None = None,
         units: Units = "user",
         fields: Iterable[str] = (),
     ) -> Path:
@@ -336,6 +338,8 @@ class Operations:
                 holds one a file come as a zip archive.
             surface: A surface around the particles in their place.
             snap: Draw the surface of the first and last frames to the meshes of both shapes.
+            tracked: One mesh through all frames, animated in one file.
+            fps: Frames per second of an animation, 24 by default and 12 in videos.
             units: Coordinates of the files (user), of one of them, or grid units.
             fields: Names of fields to carry along.
 
@@ -348,6 +352,8 @@ class Operations:
             frames=None if frames is None else list(frames),
             surface=surface,
             snap=snap,
+            tracked=tracked,
+            fps=fps,
             units=units,
             fields=list(fields),
         )

@@ -34,6 +34,6 @@ class ExportFormat(BaseModel):
     kind: Literal["frame", "sequence", "table"] = Field(
         description="One frame a file, all in one, or numbers without geometry."
     )
-    carries: list[Literal["points", "surface", "fields"]]
+    carries: list[Literal["points", "surface", "fields", "tracked"]]
     extra: str | None = Field(description="Extra of the package that the service must have for it.")
     description: str

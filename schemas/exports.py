@@ -22,6 +22,14 @@ class ExportRequest(Request):
         False,
         description="Draw the surface of the first and last frames to the meshes of both shapes.",
     )
+    tracked: bool = Field(
+        False,
+        description="One mesh through all frames, whose triangles stay the same, animated in one "
+        "file; for formats that carry `tracked`.",
+    )
+    fps: float | None = Field(
+        None, ge=1, le=120, description="Frames per second: 24, or 12 in videos, by default."
+    )
     units: Units = Field(
         "user",
         description="Coordinates: `user`, of the source's file in the beginning and the target's "

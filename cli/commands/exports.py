@@ -68,6 +68,16 @@ def export(
             help="ply, obj, glb, stl, usd, npz, csv, mp4 or gif; by the file's ending if not given."
         ),
     ] = None,
+    tracked: Annotated[
+        bool,
+        typer.Option(
+            "--tracked", help="One mesh through all frames, animated: .glb, .usdc or .pc2."
+        ),
+    ] = False,
+    fps: Annotated[
+        float | None,
+        typer.Option(min=1, max=120, help="Frames per second: 24, or 12 in videos."),
+    ] = None,
     units: Annotated[
         Literal["user", "source", "target", "grid"],
         typer.Option(help="Coordinates: of your files, of one of them, or grid units."),
@@ -83,9 +93,15 @@ def export(
 
     name = format or _format_by_suffix(out, exports.FORMATS)
     chosen = parse_list(fields)
-    exports.check(name, surface=selection.surface, snap=selection.snap, fields=chosen)
+    exports.check(
+        name, surface=selection.surface, snap=selection.snap, tracked=tracked, fields=chosen
+    )
     frames = parse_frames(selection.frames)
-    with _written_file(result, out, selection, service, format=name) as (path, show_progress):
+    notes: list[str] = []
+    with _written_file(result, out, selection, service, notes, format=name) as (
+        path,
+        show_progress,
+    ):
         exports.export(
             path,
             out,
@@ -93,9 +109,12 @@ def export(
             frames=frames,
             surface=selection.surface,
             snap=selection.snap,
+            tracked=tracked,
+            fps=fps,
             units=units,
             fields=chosen,
             watch=show_progress,
+            tell=notes.append,
         )
 
 
@@ -124,7 +143,7 @@ def render(
     from morph_engine.rendering.pictures import video
 
     pixels, frames = parse_size(size), parse_frames(selection.frames)
-    with _written_file(result, out, selection, service) as (path, show_progress):
+    with _written_file(result, out, selection, service, []) as (path, show_progress):
         video(
             path,
             out,
@@ -151,9 +170,14 @@ def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
 
 @contextmanager
 def _written_file(
-    result: str, out: Path, selection: SelectionOptions, service: ServiceOptions, **more: str
+    result: str,
+    out: Path,
+    selection: SelectionOptions,
+    service: ServiceOptions,
+    notes: list[str],
+    **more: str,
 ) -> Iterator[tuple[Path, Callable[[int, int], None]]]:
-    """Within, a file is written; Ctrl-C leaves nothing of it. Prints its size at the end.
+    """Within, a file is written; Ctrl-C leaves nothing of it. Prints its size and notes at the end.
 
     Yields:
         The result to write it from, and what shows how many frames are done.
@@ -169,7 +193,8 @@ def _written_file(
     files = [out] if out.is_file() else sorted(out.iterdir())
     byte_count = sum(file.stat().st_size for file in files)
     service.print(
-        {"out": str(out), "size_bytes": byte_count, **more}, f"{out} ({format_size(byte_count)})"
+        {"out": str(out), "size_bytes": byte_count, "notes": notes, **more},
+        "\n".join([*notes, f"{out} ({format_size(byte_count)})"]),
     )
 
 

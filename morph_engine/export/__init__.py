@@ -36,15 +36,17 @@ def find(name: str) -> Format:
     return FORMATS[name]
 
 
-def suffix(format: str, frames: Sequence[int] | None) -> str:
+def suffix(format: str, frames: Sequence[int] | None, *, tracked: bool = False) -> str:
     """The ending of a file's name: that of the format, or ``.zip`` for several frames (None: all).
+
+    A tracked surface is in one file.
 
     Raises:
         ConfigError: There is no such format.
     """
     chosen = find(format)
     several = frames is None or len(frames) != 1
-    return ".zip" if chosen.kind == "frame" and several else chosen.suffix
+    return ".zip" if chosen.kind == "frame" and several and not tracked else chosen.suffix
 
 
 def export(
@@ -55,9 +57,12 @@ def export(
     frames: Sequence[int] | None = None,
     surface: bool = False,
     snap: bool = False,
+    tracked: bool = False,
+    fps: float | None = None,
     units: Units = "user",
     fields: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
+    tell: Callable[[str], None] = lambda sentence: None,
 ) -> Path:
     """Write frames of a result to a file, which is there as a whole or not at all; its path.
 
@@ -73,12 +78,16 @@ def export(
         surface: A surface around the particles in place of the particles.
         snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
+        tracked: One mesh for all frames, whose triangles stay the same and whose vertices
+            correspond, see `results.tracked_surface`. It is the surface.
+        fps: Frames per second of an animation, 24 by default and 12 in videos.
         units: ``user`` for the coordinates of the user's own files, from those of the source in the
             beginning to those of the target at the end; ``source`` or ``target`` for those of
             either all the time; ``grid`` for grid units.
         fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
             them from the particle nearest to each of its vertices.
         watch: Called with the number of frames written and to be written.
+        tell: Called with sentences on what was written that its reader should know.
 
     Raises:
         ConfigError: There is no such format or field, the format cannot hold what is asked for, or
@@ -88,17 +97,25 @@ def export(
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
-    check(format, surface=surface, snap=snap, fields=fields)
-    single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix
+    check(format, surface=surface, snap=snap, tracked=tracked, fields=fields)
+    single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
+    if tracked and path.suffix.lower() != chosen.suffix:
+        raise ConfigError(
+            f"A tracked surface is in one file, and {path.name} is none of {chosen.name}.",
+            f"Name a file that ends in {chosen.suffix}.",
+        )
     with opened(result) as trajectory:
         selection = Selection(
             trajectory,
             _indices(trajectory, frames, only_last=single),
-            surface=surface,
+            surface=surface or tracked,
             snap=snap,
+            tracked=tracked,
+            fps=fps,
             units=units,
             fields=tuple(fields),
             watch=watch,
+            tell=tell,
         )
         count = len(selection.frames)
         if single and count > 1:
@@ -113,17 +130,23 @@ def export(
 
 def _write(chosen: Format, selection: Selection, path: Path) -> None:
     suffix = path.suffix.lower()
-    if chosen.kind == "frame" and suffix not in (chosen.suffix, ".zip"):
+    one = selection.tracked or chosen.kind != "frame"
+    if not one and suffix not in (chosen.suffix, ".zip"):
         return write_folder(chosen, selection, path)
     with replacing(path) as temporary:
-        if chosen.kind == "frame" and suffix == ".zip":
+        if not one and suffix == ".zip":
             write_archive(chosen, selection, temporary)
         else:
             chosen.write(selection, temporary)
 
 
 def check(
-    format: str, *, surface: bool = False, snap: bool = False, fields: Sequence[str] = ()
+    format: str,
+    *,
+    surface: bool = False,
+    snap: bool = False,
+    tracked: bool = False,
+    fields: Sequence[str] = (),
 ) -> None:
     """Refuse what a format cannot hold, before anything is computed; arguments as for `export`.
 
@@ -132,18 +155,24 @@ def check(
             surface to draw.
     """
     chosen = find(format)
-    check_snap(surface=surface, snap=snap)
+    check_snap(surface=surface or tracked, snap=snap)
     for name in fields:
         find_field(name)
-    wanted = ({"surface"} if surface else {"points"}) | ({"fields"} if fields else set())
-    if chosen.kind == "table" or wanted <= chosen.carries:
+    if tracked and fields:
+        raise ConfigError(
+            "A tracked surface carries no fields.", "Leave out the fields, or tracked."
+        )
+    content = "tracked" if tracked else "surface" if surface else "points"
+    wanted = {content} | ({"fields"} if fields else set())
+    if wanted <= chosen.carries or (chosen.kind == "table" and not tracked):
         return
-    if chosen.carries == {"surface"}:
+    if chosen.carries == {"surface"} and not tracked:
         raise ConfigError(
             f"{chosen.name} holds surfaces only.", "Ask for a surface, or use another format."
         )
     lacking = sorted(wanted - chosen.carries)[0]
     able = [name for name, known in FORMATS.items() if wanted <= known.carries]
+    lacking = "tracked surface" if lacking == "tracked" else lacking
     raise ConfigError(
         f"{chosen.name} holds no {lacking}.", f"Formats that do are {', '.join(able)}."
     )

@@ -22,10 +22,12 @@ class Format:
         media_type: For HTTP.
         kind: ``frame`` for one frame in a file, ``sequence`` for many, ``table`` for numbers
             without geometry.
-        carries: What its files can hold: ``points``, ``surface`` and ``fields``.
+        carries: What its files can hold: ``points``, ``surface``, ``fields``, and ``tracked``, a
+            surface of the same triangles in all frames of one file.
         extra: The extra of this package that it needs, if any.
         description: What it is, and which programs open it.
-        write: Writes a selection to a file. Of kind ``frame``, the selection has one frame.
+        write: Writes a selection to a file. Of kind ``frame``, the selection has one frame, unless
+            its surface is tracked.
     """
 
     name: str

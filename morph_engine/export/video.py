@@ -10,6 +10,8 @@ from morph_engine.rendering.pictures import video
 from morph_engine.rendering.video_encoder import VideoKind
 from morph_engine.results.selection import Selection
 
+FRAMES_PER_SECOND = 12.0
+
 
 def write(selection: Selection, path: Path, *, kind: VideoKind) -> None:
     """Write a video, coloured by the first field; other arguments as for `Format.write`."""
@@ -20,6 +22,7 @@ def write(selection: Selection, path: Path, *, kind: VideoKind) -> None:
         surface=selection.surface,
         snap=selection.snap,
         frames=selection.frames,
+        fps=selection.fps or FRAMES_PER_SECOND,
         kind=kind,
         watch=selection.watch,
     )

@@ -78,6 +78,11 @@ class Surface:
         return len(self.part_areas)
 
     @property
+    def euler(self) -> int:
+        """Vertices - edges + faces of a watertight surface, whose faces have 3/2 edges each."""
+        return len(np.unique(self.faces)) - len(self.faces) // 2
+
+    @property
     def area_share_of_largest(self) -> float:
         """Area of the largest part over that of all."""
         return float(self.part_areas.max() / self.part_areas.sum())
@@ -108,13 +113,16 @@ class Surface:
         return np.bincount(self.part_of_face, weights=areas).astype(np.float64)
 
 
-def reconstruct_surface(positions: npt.ArrayLike, spacing: float) -> Surface:
+def reconstruct_surface(
+    positions: npt.ArrayLike, spacing: float, *, cell_over_h: float = CELL_OVER_H
+) -> Surface:
     """Reconstruct the surface of a fill.
 
     Args:
         positions: Particle positions [dx], shape [n, 3]. Those not finite, or far beyond the
             others, take no part.
         spacing: Lattice spacing h of the particles at rest [dx].
+        cell_over_h: Edge of a marching cube over the spacing.
 
     Returns:
         The surface, which is watertight; the same to the bit for the same particles.
@@ -122,7 +130,7 @@ def reconstruct_surface(positions: npt.ArrayLike, spacing: float) -> Surface:
     Raises:
         MeshError: The positions have the wrong shape, or enclose nothing.
     """
-    vertices, faces = _interpolated(positions, spacing, CELL_OVER_H, SMOOTHING)
+    vertices, faces = _interpolated(positions, spacing, cell_over_h, SMOOTHING)
     # smoothing adds up in any order, which the last bits of float64 tell; float32 is without them
     vertices = vertices.astype(np.float32).astype(np.float64)
     return _without_specks(_in_order(vertices, faces), spacing**2)
@@ -137,7 +145,7 @@ def surface_euler(positions: npt.ArrayLike, spacing: float) -> int:
     """
     vertices, faces = _interpolated(positions, spacing, COARSE_CELL_OVER_H, 0)
     surface = _without_specks(Surface(vertices, faces.astype(np.int32)), spacing**2)
-    return len(np.unique(surface.faces)) - len(surface.faces) // 2  # closed: 3/2 edges a face
+    return surface.euler
 
 
 def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:

@@ -87,6 +87,24 @@ def triangle_areas(
     return areas
 
 
+def vertex_normals(
+    vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
+) -> npt.NDArray[np.float64]:
+    """Unit normals at the corners, each the mean of its faces by area, shape [v, 3], float64.
+
+    They are 0 where no face has an area.
+    """
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    weighted = np.cross(b - a, c - a)
+    corners = faces.reshape(-1)
+    normals = np.stack(
+        [np.bincount(corners, np.repeat(part, 3), len(vertices)) for part in weighted.T], axis=1
+    )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit: npt.NDArray[np.float64] = normals / np.where(length > 0, length, 1)
+    return unit
+
+
 def _face_volumes(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.float64]:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
 from morph_engine.geometry.point_cloud import finite_points
+from morph_engine.geometry.topology import vertex_normals
 from morph_engine.rendering import colormap
 from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import VideoKind, write_video
@@ -347,24 +348,9 @@ def _painted(
         radius = max(PARTICLE_RADIUS_OVER_H * spacing * scale, 1.0)
         canvas.spheres(camera.seen(points[finite], fine), radius, rgb[finite])
     else:
-        normals = (_normals(points, faces) @ camera.rotation.T).astype(np.float32)
+        normals = (vertex_normals(points, faces) @ camera.rotation.T).astype(np.float32)
         canvas.triangles(camera.seen(points, fine), normals, rgb, faces)
     cover = canvas.covered[..., None].astype(np.float32)
     image = np.concatenate([canvas.lit(scale) * cover, cover], axis=2)
     tiles = image.reshape(size[1], OVERSAMPLING, size[0], OVERSAMPLING, 4)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
-
-
-def _normals(vertices: Floats, faces: npt.NDArray[np.int32]) -> Floats:
-    """Unit normals at the corners, each the mean of its faces by area, shape [v, 3]."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    weighted = np.cross(b - a, c - a)
-    normals = np.stack(
-        [
-            np.bincount(faces.reshape(-1), np.repeat(weighted[:, axis], 3), len(vertices))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    unit: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return unit

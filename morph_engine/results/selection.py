@@ -65,18 +65,24 @@ class Selection:
         frames: Indices of the frames, each from 0.
         surface: Whether a surface takes the place of the particles.
         snap: Whether the surface is drawn to the user's own meshes, near source and target.
+        tracked: Whether the surface has the same triangles in all frames, see `tracked_surface`.
+        fps: Frames per second of an animation; None for what the format usually has.
         units: Coordinates: ``user``, ``source``, ``target`` or ``grid``, see `Units`.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
+        tell: Called with sentences on what was written that its reader should know.
     """
 
     trajectory: Trajectory
     frames: tuple[int, ...]
     surface: bool = False
     snap: bool = False
+    tracked: bool = False
+    fps: float | None = None
     units: Units = "user"
     fields: tuple[str, ...] = ()
     watch: Callable[[int, int], None] = lambda done, total: None
+    tell: Callable[[str], None] = lambda sentence: None
 
     def only(self, frame: int) -> Selection:
         """The same of one frame, unwatched."""
@@ -97,6 +103,10 @@ class Selection:
     def transform(self, frame: int) -> Positions:
         """Grid units to the units of the selection in a frame, shape [4, 4]; acts on columns."""
         return self.trajectory.transform_at(frame, self.units)
+
+    def placed(self, positions: npt.ArrayLike, frame: int) -> Positions:
+        """Positions of a frame in the units of the selection, shape [n, 3], float64."""
+        return _moved(positions, self.transform(frame))
 
     def placed_end(self, role: Role) -> Positions:
         """Source or target points in the units of the selection, shape [n, 3], float64."""
@@ -129,19 +139,18 @@ class Selection:
         transform = self.transform(frame)
         apart = self._spacing * float(np.cbrt(np.linalg.det(transform[:3, :3])))
         if not self.surface:
-            return Snapshot(frame, _moved(positions, transform), None, fields, apart)
+            return Snapshot(frame, self.placed(positions, frame), None, fields, apart)
         spacing = self.trajectory.run.spacing_of(positions)
         found = reconstruct_surface(positions, spacing)
         if self.snap:
-            found = self._drawn_to_ends(found, frame, spacing)
+            found = self.drawn_to_ends(found, frame, spacing)
         if fields:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
             fields = {name: values[finite][nearest] for name, values in fields.items()}
-        vertices = _moved(found.vertices, transform)
-        return Snapshot(frame, vertices, found.faces, fields, apart)
+        return Snapshot(frame, self.placed(found.vertices, frame), found.faces, fields, apart)
 
-    def _drawn_to_ends(self, surface: Surface, frame: int, spacing: float) -> Surface:
+    def drawn_to_ends(self, surface: Surface, frame: int, spacing: float) -> Surface:
         """A frame's surface drawn to the mesh of the end that it is near to, if there is one."""
         trajectory = self.trajectory
         complete = trajectory.status == "complete"

@@ -51,6 +51,10 @@ EXAMPLES: dict[str, Example] = {
         "summary": "The surface of the last frame for Blender",
         "value": {"format": "glb", "frames": [-1], "surface": True},
     },
+    "moving mesh": {
+        "summary": "One mesh through all frames, animated",
+        "value": {"format": "glb", "tracked": True, "snap": True},
+    },
     "animation": {
         "summary": "All frames as points with their density, in grid units",
         "value": {"format": "ply", "fields": ["density"], "units": "grid"},
@@ -192,7 +196,13 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     """
     from morph_engine.export import check
 
-    check(request.format, surface=request.surface, snap=request.snap, fields=request.fields)
+    check(
+        request.format,
+        surface=request.surface,
+        snap=request.snap,
+        tracked=request.tracked,
+        fields=request.fields,
+    )
     count = count_frames(result)
     for frame in request.frames or ():
         if not -count <= frame < count:

@@ -59,6 +59,8 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     frames: list[int] | None
     surface: bool
     snap: bool
+    tracked: bool
+    fps: float | None
     units: Units
     fields: list[str]
 

@@ -36,7 +36,7 @@ def run(
         if StoredExport.find(folder, options.id) is not None:
             return
         _remove_leftovers(folder)
-        ending = suffix(options.format, options.frames)
+        ending = suffix(options.format, options.frames, tracked=options.tracked)
         path = folder / f"{options.id}{ending}"
         try:
             export(
@@ -46,6 +46,8 @@ def run(
                 frames=options.frames,
                 surface=options.surface,
                 snap=options.snap,
+                tracked=options.tracked,
+                fps=options.fps,
                 units=options.units,
                 fields=options.fields,
                 watch=lambda done, total: report_progress(done / max(total, 1)),
