@@ -17,7 +17,6 @@ from morph_engine.export.gltf import (
     linear,
     unit_normals,
 )
-from morph_engine.geometry.topology import vertex_normals
 from morph_engine.rendering import colormap
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.selection import Selection, Snapshot
@@ -44,7 +43,7 @@ def write(selection: Selection, path: Path) -> None:
     if colors is not None:
         attributes["COLOR_0"] = file.array(colors[known], normalized=True, target=ARRAY_BUFFER)
     if snapshot.faces is not None:
-        normals = unit_normals(vertex_normals(snapshot.vertices, snapshot.faces))
+        normals = unit_normals(snapshot.normals)
         attributes["NORMAL"] = file.array(normals, target=ARRAY_BUFFER)
         corners = snapshot.faces.reshape(-1).astype(np.uint32)
         primitive["indices"] = file.array(corners, target=ELEMENT_ARRAY_BUFFER)

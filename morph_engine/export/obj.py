@@ -9,6 +9,9 @@ import numpy as np
 from morph_engine.export.format import Format
 from morph_engine.results.selection import Selection
 
+POINTS_PER_LINE = 1000
+"""An element goes on in the next line after a backslash; some programs limit lines."""
+
 
 def write(selection: Selection, path: Path) -> None:
     """Write one frame; arguments as for `Format.write`."""
@@ -17,9 +20,21 @@ def write(selection: Selection, path: Path) -> None:
         file.write(f"# frame {snapshot.frame}, {selection.units} units\n")
         np.savetxt(file, snapshot.vertices, fmt="v %.9g %.9g %.9g")
         if snapshot.faces is None:
-            np.savetxt(file, np.arange(1, len(snapshot.vertices) + 1), fmt="p %d")
+            file.write(_points(len(snapshot.vertices)))
         else:
-            np.savetxt(file, snapshot.faces + 1, fmt="f %d %d %d")
+            np.savetxt(file, snapshot.normals, fmt="vn %.6g %.6g %.6g")
+            corners = np.repeat(snapshot.faces + 1, 2, axis=1)
+            np.savetxt(file, corners, fmt="f %d//%d %d//%d %d//%d")
+
+
+def _points(count: int) -> str:
+    """All points as one element: programs warn of each element that they do not show."""
+    names = [str(index) for index in range(1, count + 1)]
+    lines = [
+        " ".join(names[start : start + POINTS_PER_LINE])
+        for start in range(0, count, POINTS_PER_LINE)
+    ]
+    return "p " + " \\\n".join(lines) + "\n"
 
 
 FORMAT = Format(

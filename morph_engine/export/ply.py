@@ -13,10 +13,14 @@ from morph_engine.results.selection import Selection
 def write(selection: Selection, path: Path) -> None:
     """Write one frame; arguments as for `Format.write`."""
     (snapshot,) = selection.snapshots()
-    kinds = [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in snapshot.fields]
+    normals = () if snapshot.faces is None else ("nx", "ny", "nz")
+    kinds = [(axis, "<f8") for axis in "xyz"]
+    kinds += [(name, "<f4") for name in (*normals, *snapshot.fields)]
     vertices = np.zeros(len(snapshot.vertices), kinds)
     for axis, column in zip("xyz", snapshot.vertices.T, strict=True):
         vertices[axis] = column
+    for name, column in zip(normals, snapshot.normals.T, strict=False):
+        vertices[name] = column
     for name, values in snapshot.fields.items():
         vertices[name] = values
     header = [
@@ -25,7 +29,7 @@ def write(selection: Selection, path: Path) -> None:
         f"comment frame {snapshot.frame}, {selection.units} units",
         f"element vertex {len(vertices)}",
         *(f"property double {axis}" for axis in "xyz"),
-        *(f"property float {name}" for name in snapshot.fields),
+        *(f"property float {name}" for name in (*normals, *snapshot.fields)),
     ]
     faces = np.zeros(
         0 if snapshot.faces is None else len(snapshot.faces), [("n", "u1"), ("v", "<i4", 3)]

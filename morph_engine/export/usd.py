@@ -1,4 +1,4 @@
-"""USD: an animation of points or surfaces, with a time sample per frame."""
+"""USD: an animation of points, surfaces or a moving mesh, with a time sample per frame."""
 
 from __future__ import annotations
 
@@ -6,12 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from morph_engine.export.format import Format
 from morph_engine.optional_packages import load
 from morph_engine.results.selection import Selection, Snapshot
+from morph_engine.results.tracked_surface import track_surface
+
+Floats = npt.NDArray[np.float64]
 
 FRAMES_PER_SECOND = 24.0
+
+METERS_PER_UNIT = 1.0
+"""A unit of the user's files is a metre, as in glTF and Blender; the usual centimetre would arrive
+a hundred times smaller there."""
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -19,20 +27,25 @@ def write(selection: Selection, path: Path) -> None:
     Usd, UsdGeom = (load(f"pxr.{name}", extra="usd", purpose="USD") for name in ("Usd", "UsdGeom"))
     # the library goes by the name's ending, and the file is written under a temporary name
     stage = Usd.Stage.CreateInMemory()
-    stage.SetStartTimeCode(selection.frames[0])
-    stage.SetEndTimeCode(selection.frames[-1])
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
+    stage.SetStartTimeCode(min(selection.frames))
+    stage.SetEndTimeCode(max(selection.frames))
+    stage.SetTimeCodesPerSecond(selection.fps or FRAMES_PER_SECOND)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, METERS_PER_UNIT)
     root = UsdGeom.Xform.Define(stage, "/morph")
     stage.SetDefaultPrim(root.GetPrim())
-    kind = UsdGeom.Mesh if selection.surface else UsdGeom.Points
-    shape = kind.Define(stage, "/morph/" + ("surface" if selection.surface else "particles"))
-    if selection.surface:
+    if selection.tracked:
+        _tracked(UsdGeom, stage, root, selection)
+    elif selection.surface:
+        shape = UsdGeom.Mesh.Define(stage, "/morph/surface")
         shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        for snapshot in selection.snapshots():
+            _sample(UsdGeom, shape, snapshot)
     else:
+        shape = UsdGeom.Points.Define(stage, "/morph/particles")
         shape.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-    for snapshot in selection.snapshots():
-        _sample(UsdGeom, shape, snapshot)
+        for snapshot in selection.snapshots():
+            _sample(UsdGeom, shape, snapshot)
     layer = stage.GetRootLayer()
     final = path.with_name(path.name + ".usdc")
     try:
@@ -43,22 +56,34 @@ def write(selection: Selection, path: Path) -> None:
         final.unlink(missing_ok=True)
 
 
+def _tracked(UsdGeom: Any, stage: Any, root: Any, selection: Selection) -> None:
+    """A mesh whose triangles have no time samples; two where the topology changes."""
+    surface = track_surface(selection)
+    if surface.changes_at is not None:
+        root.GetPrim().SetCustomDataByKey("topologyChangesAtFrame", surface.changes_at)
+    for mesh, name in zip(surface.meshes, ("surface", "surface_after"), strict=False):
+        shape = UsdGeom.Mesh.Define(stage, f"/morph/{name}")
+        shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        _triangles(shape, mesh.faces)
+        for frame, vertices, normals in zip(mesh.frames, mesh.vertices, mesh.normals, strict=True):
+            _vertices(UsdGeom, shape, vertices, normals, frame)
+        if surface.changes_at is not None:
+            second = mesh is surface.meshes[1]
+            shown, hidden = UsdGeom.Tokens.inherited, UsdGeom.Tokens.invisible
+            visibility = shape.CreateVisibilityAttr()
+            visibility.Set(hidden if second else shown, min(selection.frames))
+            visibility.Set(shown if second else hidden, surface.changes_at)
+
+
 def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
     """Set one frame."""
     Sdf, Vt = (load(f"pxr.{name}", extra="usd", purpose="USD") for name in ("Sdf", "Vt"))
     time = snapshot.frame
-    vertices = snapshot.vertices.astype(np.float32)
-    shape.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(vertices), time)
-    known = np.isfinite(vertices).all(axis=1)
-    extent = np.stack([vertices[known].min(axis=0), vertices[known].max(axis=0)])
-    shape.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), time)
+    _vertices(UsdGeom, shape, snapshot.vertices, snapshot.normals, time)
     if snapshot.faces is None:
         shape.CreateWidthsAttr().Set([snapshot.spacing], time)
     else:
-        counts = np.full(len(snapshot.faces), 3, np.int32)
-        shape.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(counts), time)
-        corners = np.ascontiguousarray(snapshot.faces.reshape(-1))
-        shape.CreateFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(corners), time)
+        _triangles(shape, snapshot.faces, time)
     variables = UsdGeom.PrimvarsAPI(shape)
     for name, values in snapshot.fields.items():
         variable = variables.CreatePrimvar(
@@ -67,12 +92,36 @@ def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
         variable.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(values)), time)
 
 
+def _vertices(UsdGeom: Any, shape: Any, positions: Floats, normals: Floats, time: int) -> None:
+    """Set positions, their bounds and, if there are any, normals of one frame."""
+    Vt = load("pxr.Vt", extra="usd", purpose="USD")
+    vertices = positions.astype(np.float32)
+    shape.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(vertices), time)
+    known = np.isfinite(vertices).all(axis=1)
+    extent = np.stack([vertices[known].min(axis=0), vertices[known].max(axis=0)])
+    shape.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), time)
+    if len(normals):
+        outward = Vt.Vec3fArray.FromNumpy(normals.astype(np.float32))
+        shape.CreateNormalsAttr().Set(outward, time)
+        shape.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+
+
+def _triangles(shape: Any, faces: npt.NDArray[np.int32], time: int | None = None) -> None:
+    """Set the triangles of one frame, or of all."""
+    Vt = load("pxr.Vt", extra="usd", purpose="USD")
+    at = () if time is None else (time,)
+    counts = np.full(len(faces), 3, np.int32)
+    shape.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(counts), *at)
+    corners = np.ascontiguousarray(faces.reshape(-1))
+    shape.CreateFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(corners), *at)
+
+
 FORMAT = Format(
     name="usd",
     suffix=".usdc",
     media_type="model/vnd.usd",
     kind="sequence",
-    carries=frozenset({"points", "surface", "fields"}),
+    carries=frozenset({"points", "surface", "fields", "tracked"}),
     extra="usd",
     description="An animation of points or surfaces; Blender, Houdini, Omniverse, usdview",
     write=write,

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from morph_engine.errors import ConfigError
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_snapping import snapped_to
+from morph_engine.geometry.topology import vertex_normals
 from morph_engine.results.fields import field
 from morph_engine.results.run_record import Role, Units
 from morph_engine.results.trajectory import Trajectory
@@ -54,6 +55,13 @@ class Snapshot:
     faces: npt.NDArray[np.int32] | None
     fields: dict[str, Values]
     spacing: float
+
+    @property
+    def normals(self) -> Positions:
+        """Unit normals at the corners of the surface, shape [v, 3]; of particles none, [0, 3]."""
+        if self.faces is None:
+            return np.zeros((0, 3))
+        return vertex_normals(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False)

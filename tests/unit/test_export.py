@@ -1,6 +1,8 @@
 """Export: every format read back by a library of its own gives what the result holds."""
 
 import csv
+import json
+import struct
 import sys
 import zipfile
 from pathlib import Path
@@ -13,6 +15,7 @@ from pxr import Usd, UsdGeom
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.export import FORMATS, export, suffix
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
+from morph_engine.geometry.topology import vertex_normals
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.trajectory import Trajectory
 
@@ -24,6 +27,17 @@ def trajectory(small_result):
     """The result, open."""
     with Trajectory(small_result) as opened:
         yield opened
+
+
+def glb_attribute(path, name, dtype, width):
+    """Values of the vertices in a GLB file of one primitive, shape [v, width]."""
+    data = path.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + length])
+    (primitive,) = document["meshes"][0]["primitives"]
+    accessor = document["accessors"][primitive["attributes"][name]]
+    start = 28 + length + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    return np.frombuffer(data, dtype, width * accessor["count"], start).reshape(-1, width)
 
 
 @pytest.mark.parametrize("format", ["ply", "obj", "glb"])
@@ -50,6 +64,40 @@ def test_surface_comes_back(trajectory, tmp_path, format):
     )
 
 
+@pytest.mark.parametrize("format", ["ply", "obj", "glb"])
+def test_surfaces_have_normals(trajectory, tmp_path, format):
+    """One of each corner, in the corners' order; OBJ has six digits."""
+    path = export(trajectory, tmp_path / f"s.{format}", format, frames=[1], surface=True)
+    if format == "obj":
+        lines = [line.split() for line in path.read_text().splitlines()]
+        found = np.array([line[1:] for line in lines if line[0] == "vn"], np.float64)
+    elif format == "ply":
+        data = trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
+        found = np.column_stack([data[f"n{axis}"].ravel() for axis in "xyz"])
+    else:
+        found = glb_attribute(path, "NORMAL", "<f4", 3)
+    expected = reconstruct_surface(trajectory.positions(1), 0.5)
+    normals = vertex_normals(expected.vertices, expected.faces)
+    np.testing.assert_allclose(found, normals, atol=TOLERANCE)
+
+
+def test_points_of_an_obj_are_one_element(trajectory, tmp_path):
+    """Blender warns of each element that it does not show."""
+    text = export(trajectory, tmp_path / "p.obj", "obj").read_text()
+    element = text[text.index("p ") :].replace("\\\n", "")
+    assert element.split() == ["p", *map(str, range(1, trajectory.particle_count + 1))]
+    assert max(map(len, text.splitlines())) < 10_000
+
+
+def test_colours_of_a_glb_are_linear(trajectory, tmp_path):
+    """The middle of viridis is (0.13, 0.57, 0.55) as sRGB, and (0.015, 0.28, 0.26) linear."""
+    path = export(trajectory, tmp_path / "f.glb", "glb", fields=["displacement"])
+    colors = glb_attribute(path, "COLOR_0", "<u2", 4) / 65535
+    middle = np.abs(colors[:, :3] - (0.015, 0.28, 0.26)).sum(axis=1).min()
+    assert middle < 0.05
+    assert (colors[:, 3] == 1).all()
+
+
 @pytest.mark.parametrize("with_surface", [False, True])
 def test_usd_animates(trajectory, tmp_path, with_surface):
     """A time sample per frame, with the points, the triangles and the field of that frame."""
@@ -57,6 +105,7 @@ def test_usd_animates(trajectory, tmp_path, with_surface):
     stage = Usd.Stage.Open(str(path))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, 2)
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     (shape,) = stage.GetDefaultPrim().GetChildren()
     det_f = UsdGeom.PrimvarsAPI(shape).GetPrimvar("det_f")
     for frame in range(3):
@@ -66,7 +115,10 @@ def test_usd_animates(trajectory, tmp_path, with_surface):
             counts = np.array(UsdGeom.Mesh(shape).GetFaceVertexCountsAttr().Get(frame))
             corners = np.array(UsdGeom.Mesh(shape).GetFaceVertexIndicesAttr().Get(frame))
             assert (counts == 3).all()
-            assert trimesh.Trimesh(points, corners.reshape(-1, 3)).is_watertight
+            found = trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
+            assert found.is_watertight
+            normals = np.array(UsdGeom.Mesh(shape).GetNormalsAttr().Get(frame))
+            assert np.einsum("vi,vi->v", normals, found.vertex_normals).min() > 0.9
         else:
             expected = trajectory.positions_in_user_units(frame)
             np.testing.assert_allclose(points, expected, atol=TOLERANCE)

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import ConfigError
@@ -238,6 +239,26 @@ def test_glb_is_the_same_twice_and_small(lump, tmp_path):
     assert paths[0].read_bytes() == paths[1].read_bytes()
     count = Glb(paths[0]).json["accessors"][0]["count"]
     assert paths[0].stat().st_size < count * (12 * (FRAMES - 1) + 24 + 24) + 20_000
+
+
+def test_usd_has_triangles_without_time_samples(ring, tmp_path):
+    """Positions and normals have them; one mesh at a time is visible."""
+    path = export(ring, tmp_path / "ring.usdc", "usd", tracked=True, fps=30)
+    found = track_surface(selection(ring, units="user"))
+    stage = Usd.Stage.Open(str(path))
+    assert stage.GetTimeCodesPerSecond() == 30
+    prim = stage.GetDefaultPrim()
+    assert prim.GetCustomDataByKey("topologyChangesAtFrame") == found.changes_at
+    for shape, mesh in zip(prim.GetChildren(), found.meshes, strict=True):
+        shown = UsdGeom.Mesh(shape)
+        assert shown.GetFaceVertexIndicesAttr().GetNumTimeSamples() == 0
+        np.testing.assert_array_equal(shown.GetFaceVertexIndicesAttr().Get(), mesh.faces.ravel())
+        for frame, vertices, normals in zip(mesh.frames, mesh.vertices, mesh.normals, strict=True):
+            np.testing.assert_allclose(shown.GetPointsAttr().Get(frame), vertices, atol=1e-5)
+            np.testing.assert_allclose(shown.GetNormalsAttr().Get(frame), normals, atol=1e-6)
+            before = frame < found.changes_at
+            visible = shown.ComputeVisibility(frame) == UsdGeom.Tokens.inherited
+            assert visible == (before == (mesh is found.meshes[0]))
 
 
 @pytest.mark.parametrize(
