@@ -70,9 +70,7 @@ def export(
     ] = None,
     tracked: Annotated[
         bool,
-        typer.Option(
-            "--tracked", help="One mesh through all frames, animated: .glb, .usdc or .pc2."
-        ),
+        typer.Option("--tracked", help="One mesh through all frames, animated: .glb or .usdc."),
     ] = False,
     fps: Annotated[
         float | None,

@@ -2,9 +2,9 @@
 
 From frame to frame each vertex goes where the particles around it go, and is then drawn to the
 surface reconstructed around the particles of that frame. Vertices slide along the surface, so that
-triangles stay even where matter is stretched; where two walls meet and the space between them
-closes, the triangles between them are drawn out to the surface; where a notch opens, those above it
-sink in. What tracking cannot do is change the topology.
+triangles stay even where matter is stretched. Triangles that find no surface, as where two walls
+have met, shrink like a soap film, which draws a pocket out to the surface and turns a handle
+without matter into a thread. What tracking cannot do is change the topology.
 """
 
 from __future__ import annotations
@@ -50,9 +50,6 @@ FACING_FAR = 0.6
 
 REACH_OVER_H = 1.5
 """How far from its vertex over the spacing a point of the surface is near; the longest step."""
-
-SINKING_OVER_H = 0.3
-"""Height over the surface, over the spacing, from which a vertex that faces none of it sinks."""
 
 RINGS = 2
 """Rings of neighbours around vertices astray that are smoothed along with them."""
@@ -150,23 +147,19 @@ class SurfaceTracker:
         """Vertices drawn to the surface, and which of them do not find it or have folded over."""
         reach = REACH_OVER_H * spacing
         normals = vertex_normals(vertices, self._faces)
-        distance, near = goal.tree.query(vertices, k=CANDIDATES, workers=-1)
+        _, near = goal.tree.query(vertices, k=CANDIDATES, workers=-1)
         facing = np.einsum("vki,vi->vk", goal.normals[near], normals)
         first = np.take_along_axis(near, (facing > FACING).argmax(axis=1)[:, None], axis=1)[:, 0]
         way, along = goal.points[first] - vertices, goal.normals[first]
         near_enough = np.linalg.norm(way, axis=1) < reach
         found = (facing > FACING).any(axis=1) & (near_enough | (facing[:, 0] > FACING_FAR))
-        height = np.einsum("vi,vi->v", vertices - goal.points[near[:, 0]], goal.normals[near[:, 0]])
-        sinking = ~found & (height > SINKING_OVER_H * spacing) & (facing[:, 0] > -FACING)
         step = np.clip(np.einsum("vi,vi->v", way, along), -reach, reach)
         moved = vertices.copy()
         moved[found] += step[found, None] * along[found]
-        # no wall is nearer than that: the vertex cannot pass one
-        moved[sinking] -= np.minimum(distance[sinking, :1], spacing) * normals[sinking]
         a, b, c = np.moveaxis(moved[self._faces], 1, 0)
         outward = goal.normals[near[self._faces[:, 0], 0]]
         folded = np.einsum("fi,fi->f", np.cross(b - a, c - a), outward) < 0
-        astray = ~found & ~sinking
+        astray = ~found
         astray[self._faces[folded]] = True
         return moved, astray
 

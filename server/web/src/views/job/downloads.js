@@ -95,20 +95,26 @@ export class Downloads {
       return { select, field };
     };
     const chosen = () => formats.find((one) => one.name === format.select.value);
+    const moving = () => !content.field.hidden && content.select.value === "tracked";
     const reflect = () => {
       const { carries, description, kind } = chosen();
       explain.textContent = `${description}.`;
       content.field.hidden = !(carries.includes("points") && carries.includes("surface"));
-      frames.field.hidden = kind === "table";
+      for (const option of content.select.options) {
+        option.disabled = option.hidden = !carries.includes(option.value);
+        if (option.disabled && option.selected) content.select.value = "points";
+      }
+      frames.field.hidden = kind === "table" || moving();
       frames.select.value = kind === "frame" ? "this" : "all";
-      fields.field.hidden = !carries.includes("fields");
+      fields.field.hidden = !carries.includes("fields") || moving();
       units.field.hidden = kind === "table";
     };
     const format = choose("Format", formats.map((one) => [one.name, one.name.toUpperCase()]), reflect);
     const content = choose("Content", [
       ["points", "Particles"],
       ["surface", "Surface"],
-    ]);
+      ["tracked", "Moving mesh"],
+    ], () => reflect());
     const frames = choose("Frames", [
       ["this", "The one shown"],
       ["all", "All"],
@@ -130,13 +136,15 @@ export class Downloads {
     const submit = async (event) => {
       event.preventDefault();
       const { carries, kind } = chosen();
-      const one = kind !== "table" && frames.select.value === "this";
+      const tracked = moving();
+      const one = kind !== "table" && !tracked && frames.select.value === "this";
       const state = h("div", { class: "stack" });
       made.prepend(state);
       await this.#export(state, {
         format: format.select.value,
         frames: one ? [this.frame()] : null,
         surface: carries.includes("surface") && (content.field.hidden || content.select.value === "surface"),
+        tracked,
         units: units.select.value,
         fields: fields.field.hidden || !fields.select.value ? [] : [fields.select.value],
       });
