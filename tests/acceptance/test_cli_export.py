@@ -65,6 +65,19 @@ def test_the_ending_names_the_format(result, tmp_path):
         assert len(archive.namelist()) == 2
 
 
+def test_a_moving_mesh_is_one_file(result, tmp_path):
+    """A GLB with an animation at the pace asked for; the JSON has what one should know of it."""
+    options = ("--tracked", "--fps", "10", "--json")
+    outcome = morph("export", result, "-o", "box.glb", *options, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert json.loads(outcome.stdout)["notes"] == []
+    data = (tmp_path / "box.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    (animation,) = document["animations"]
+    times = document["accessors"][animation["samplers"][0]["input"]]
+    assert (times["count"], times["max"]) == (2, [pytest.approx(0.1)])
+
+
 def test_render_makes_a_video(result, tmp_path):
     """An MP4 of the size asked for."""
     outcome = morph(
@@ -81,6 +94,7 @@ def test_render_makes_a_video(result, tmp_path):
         (("export", "RESULT", "-o", "x.zip"), "--format"),
         (("export", "RESULT", "-o", "x.stl"), "surface"),
         (("export", "RESULT", "-o", "x.ply", "--snap"), "--surface"),
+        (("export", "RESULT", "-o", "x.ply", "--tracked"), "glb, usd"),
         (("export", "RESULT", "-o", "x.ply", "--frames", "5-2"), "0,5,10-20"),
         (("export", "RESULT", "-o", "x.ply", "--fields", "det_f"), "joint and physics"),
         (("export", "gone.vtkhdf", "-o", "x.ply"), "Check the path"),

@@ -135,6 +135,10 @@ def test_exports_are_made_once_and_kept(
     drawn = api.http.post(path, json=surface | {"snap": True})
     assert drawn.status_code == 202 and drawn.json()["id"] != export["id"]
     assert ready(api, drawn.headers["Location"])["state"] == "ready"
+    moving = api.http.post(path, json={"format": "glb", "tracked": True, "fps": 30})
+    moving = ready(api, moving.headers["Location"])
+    assert moving["file_name"] == "sphere-to-star-partial.glb"
+    assert b'"animations"' in api.http.get(moving["links"]["file"]).content
     table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
     rows = api.http.get(table["links"]["file"]).text.split()
     assert rows == ["frame,s2t", "0,1.0", "1,3.0"]
@@ -161,6 +165,7 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
         {"format": "ply", "fields": ["colour"]},
         {"format": "stl"},
         {"format": "ply", "snap": True},
+        {"format": "ply", "tracked": True},
         {"format": "ply", "units": "miles"},
         {"colour": 1},
     ):
