@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 
 STARTUP_SECONDS = 8.0
-MEGABYTES_AT_REST = 300.0
+MEGABYTES_AT_REST = 240.0
 BYTES_IN_RESULT = 16  # of a particle in a frame: position and det F
 PARALLEL_EFFICIENCY = 0.9
 
@@ -28,10 +28,17 @@ def estimate(
     *,
     method: str = DEFAULT_METHOD,
     threads: int | None = None,
+    nodes: int = 0,
 ) -> Estimate:
-    """Estimate the cost of a run on the CPU by a model linear in particles and frames.
+    """Estimate the cost of a run on the CPU by a model linear in particles, nodes and frames.
 
-    It has all threads of this machine if `threads` does not say otherwise.
+    Args:
+        particle_count: Number of particles.
+        target_count: Number of target points.
+        frames: Number of frames.
+        method: Name of the method.
+        threads: Of the run; all of this machine's if not given.
+        nodes: Of its grid, see `MethodOptions.node_count`.
     """
     workers = threads or os.cpu_count() or 1
     rates = options_of(method).cost
@@ -46,5 +53,8 @@ def estimate(
     result_mb = BYTES_IN_RESULT * particle_count * frames / 1e6  # it is assembled in memory
     return Estimate(
         seconds=STARTUP_SECONDS + cpu_seconds / max(1.0, PARALLEL_EFFICIENCY * workers),
-        memory_mb=MEGABYTES_AT_REST + kilobytes / 1024 + result_mb,
+        memory_mb=MEGABYTES_AT_REST
+        + kilobytes / 1024
+        + rates.bytes_per_node * nodes / 1e6
+        + result_mb,
     )

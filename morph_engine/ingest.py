@@ -9,6 +9,7 @@ from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import Solid, place, placed
+from morph_engine.geometry.point_cloud import outer_radius
 from morph_engine.geometry.sampling import (
     FIT_REMEDY,
     HALF_EXTENT,
@@ -19,6 +20,7 @@ from morph_engine.geometry.sampling import (
 )
 from morph_engine.geometry.topology import Opening, Topology, Vector
 from morph_engine.geometry.winding_number import winding_number
+from morph_engine.presets import configure
 
 POINTS_PER_CELL_EDGE = (2, 3, 4)
 
@@ -179,10 +181,14 @@ def _fits(mesh: Mesh, half_extent: float) -> bool:
 def _resolution(mesh: Mesh, points_per_cell_edge: int) -> Resolution:
     count = len(sample_lattice(mesh, spacing=1 / points_per_cell_edge, minimum_count=0))
     target_count = round(REFERENCE_VOLUME * points_per_cell_edge**3)
+    config = configure(overrides={"sampling.points_per_cell_edge": points_per_cell_edge})
+    nodes = config.method.node_count(
+        config, radius=outer_radius(mesh.vertices), ratio=target_count / max(count, 1)
+    )
     return Resolution(
         points_per_cell_edge=points_per_cell_edge,
         particle_count=count,
-        estimate=estimate(count, target_count, FRAMES),
+        estimate=estimate(count, target_count, FRAMES, nodes=nodes),
     )
 
 

@@ -34,6 +34,7 @@ from morph_engine.geometry.sampling import (
 )
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.ingest import check_mesh
+from morph_engine.machine_memory import free_memory
 from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics, determinants
@@ -184,9 +185,16 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     Raises:
         ResourceError: Not enough memory or disk.
     """
-    frames, method = record.config.frames, record.config.method.name
-    need = estimate(len(record.source_points), len(record.target_points), frames, method=method)
-    free = psutil.virtual_memory().available / MEGABYTE
+    config = record.config
+    frames = config.frames
+    need = estimate(
+        len(record.source_points),
+        len(record.target_points),
+        frames,
+        method=config.method.name,
+        nodes=config.method.node_count(config, radius=record.radius, ratio=record.ratio),
+    )
+    free = free_memory() / MEGABYTE
     if need.memory_mb > free:
         raise ResourceError(
             f"The run needs about {need.memory_mb:,.0f} MB of memory and {free:,.0f} MB are free.",

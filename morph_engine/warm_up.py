@@ -10,7 +10,7 @@ from morph_engine import backend
 from morph_engine.code_digest import code_digest
 from morph_engine.config import MorphConfig
 from morph_engine.methods import DEFAULT_METHOD
-from morph_engine.methods.flow import MARGIN, FlowOptions, grid_of
+from morph_engine.methods.flow import MARGIN, FlowOptions, grid_size
 from morph_engine.morphing import morph
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
@@ -61,8 +61,7 @@ def extent_of(record: RunRecord) -> int | None:
     options = record.config.method
     if not isinstance(options, FlowOptions):
         return None
-    grid = grid_of(options, record.config, record.source_points, record.target_points)
-    return round(grid.half_extent / grid.dx)
+    return grid_size(options, record.config, radius=record.radius, ratio=record.ratio)[1]
 
 
 def small_run(extent: int) -> MorphConfig:

@@ -18,12 +18,17 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.settings import Settings
 from morph_engine import presets
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
-from morph_engine.errors import ConfigError, MeshError
+from morph_engine.errors import ConfigError, MeshError, ResourceError
 from morph_engine.geometry.placement import Solid, place
 from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
+from morph_engine.machine_memory import total_memory
+
+ROUNDNESS = 1.15
+"""Radius of the ball around a usual shape over its largest coordinate."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,13 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         config.frames,
         method=config.method.name,
         threads=context.settings.threads or None,
+        nodes=config.method.node_count(
+            config,
+            radius=max(_radius(source, placement.source), _radius(target, placement.target)),
+            ratio=targets / particles,
+        ),
     )
+    _check_memory(expected.memory_mb, context.settings)
     limit = context.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,
@@ -82,6 +93,26 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         },
         priority=request.priority,
     )
+
+
+def _radius(solid: Solid, to_grid: Similarity) -> float:
+    """About the radius of the ball around the origin that holds a shape [dx]."""
+    return ROUNDNESS * float(np.abs(to_grid.apply(solid.bounds)).max())
+
+
+def _check_memory(needed_mb: float, settings: Settings) -> None:
+    """Refuse what no worker has room for.
+
+    Raises:
+        ResourceError: It needs more than jobs may have.
+    """
+    largest = (settings.job_memory_bytes or total_memory()) / 1e6
+    if needed_mb > largest:
+        raise ResourceError(
+            f"The job needs about {needed_mb:,.0f} MB of memory, and jobs here may have "
+            f"{largest:,.0f} MB.",
+            "Lower `sampling.points_per_cell_edge`, or raise `grid.dx`.",
+        )
 
 
 def configure(request: JobRequest) -> MorphConfig:

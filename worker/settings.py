@@ -51,6 +51,12 @@ class Settings(BaseSettings):
         description="How often an idle worker looks for a job; 0: every 0.25 s on SQLite, and "
         "every 2 s on Postgres, which many workers ask [s].",
     )
+    job_memory_bytes: int = Field(
+        0,
+        ge=0,
+        description="Jobs that would need more memory are refused; 0: than this machine has "
+        "[bytes].",
+    )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
     )

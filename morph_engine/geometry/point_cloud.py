@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,11 @@ def target_points(target: npt.ArrayLike) -> Points:
     if not len(points):
         raise MeshError("The target has no points.", "Pass at least one target point.")
     return points
+
+
+def outer_radius(*clouds: npt.NDArray[Any]) -> float:
+    """Largest distance of a point of some clouds, each shape [n, 3], from the origin [dx]."""
+    return max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds)
 
 
 def distinct_points(points: Points) -> tuple[Points, npt.NDArray[np.intp]]:

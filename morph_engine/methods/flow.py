@@ -17,6 +17,7 @@ from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
 from morph_engine.methods.options import CostRates
 from morph_engine.methods.transport import ease
+from morph_engine.mpm.grid_size import nodes_per_axis
 from morph_engine.optimization.watchdog import Event, restarted
 from morph_engine.sections import (
     Fraction,
@@ -94,7 +95,7 @@ class FlowOptions(MpmOptions):
         "viscous": {"memory": 0.2, "tension": 1.0},
         "fluid": {"material": {"youngs_modulus": 1.0}, "memory": 0.0, "tension": 2.0},
     }
-    cost: ClassVar[CostRates] = CostRates(16e-6, 2e-6, 2.6, 0.2, 0.05)
+    cost: ClassVar[CostRates] = CostRates(16e-6, 2e-6, 0.5, 0.2, 0.05, bytes_per_node=800)
 
     name: Literal["flow"] = "flow"
     kernel: Kernel = Field("quadratic", description="B-spline interpolation.")
@@ -138,6 +139,11 @@ class FlowOptions(MpmOptions):
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
 
+    def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
+        """Nodes of the grid of the flow."""
+        edge, extent = grid_size(self, config, radius=radius, ratio=ratio)
+        return nodes_per_axis(extent * edge, edge) ** 3
+
 
 class Flow(MpmMethod[FlowOptions]):
     """A body goes from source to target; matter fills it evenly and flows inside.
@@ -149,9 +155,15 @@ class Flow(MpmMethod[FlowOptions]):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         config, options, device = problem.config, self.options, self.device
-        self._grid = grid_of(options, config, problem.source, problem.target)
+        edge, extent = grid_size(
+            options,
+            config,
+            radius=geometry.outer_radius(problem.source, problem.target),
+            ratio=len(problem.target) / len(problem.source),
+        )
+        self._grid = mpm.Grid(edge, extent * edge, width=4 if options.kernel == "cubic" else 3)
         self._simulation = self._make_simulation_in_cells()
-        self._edge = edge = self._grid.dx
+        self._edge = edge
         full = options.material.density * edge**3
         cells, spacing = self._simulation.grid, config.spacing / edge
         self._projection = flow.Projection(cells, full=full)
@@ -454,26 +466,24 @@ class Flow(MpmMethod[FlowOptions]):
         return float(self._moved.to_numpy().mean(dtype=np.float64))
 
 
-def grid_of(
-    options: FlowOptions, config: MethodConfig, source: NDArray[Any], target: NDArray[Any]
-) -> mpm.Grid:
-    """The grid of the flow [dx].
+def grid_size(
+    options: FlowOptions, config: MethodConfig, *, radius: float, ratio: float
+) -> tuple[float, int]:
+    """Edge of a cell of the grid of the flow [dx], and half its cells along an axis.
 
-    Its cells are larger where particles end, or begin, farther apart. It holds a ball around the
+    Cells are larger where particles end, or begin, farther apart. The grid holds a ball around the
     shapes, in which they may turn, or the domain.
 
     Args:
         options: Of the method.
         config: The configuration they are in.
-        source: Particles [dx], shape [n, 3].
-        target: Target points [dx], shape [m, 3].
+        radius: Of the ball around the origin that holds both shapes [dx].
+        ratio: Target points over particles.
     """
-    ratio = float(np.cbrt(len(target) / len(source)))
-    edge = options.cell * config.spacing * max(ratio, math.sqrt(ratio))
-    radius = max(float(np.linalg.norm(points, axis=1).max()) for points in (source, target))
+    growth = ratio ** (1 / 3)
+    edge = options.cell * config.spacing * max(growth, math.sqrt(growth))
     wanted = min(radius / edge + MARGIN, config.grid.half_extent / edge)
-    extent = math.ceil(wanted / EXTENTS) * EXTENTS
-    return mpm.Grid(edge, extent * edge, width=4 if options.kernel == "cubic" else 3)
+    return edge, math.ceil(wanted / EXTENTS) * EXTENTS
 
 
 def _arrays(found: flow.Correspondence) -> kept_results.Arrays:

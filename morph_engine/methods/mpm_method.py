@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,8 @@ from pydantic import Field
 
 from morph_engine import losses, mpm
 from morph_engine.methods.method import FrameOutcome, Method, Problem
-from morph_engine.methods.options import MethodOptions
+from morph_engine.methods.options import CostRates, MethodConfig, MethodOptions
+from morph_engine.mpm.grid_size import nodes_per_axis
 from morph_engine.sections import (
     AdjointConfig,
     GridConfig,
@@ -35,6 +36,12 @@ class MpmOptions(MethodOptions):
     material: MaterialConfig = MaterialConfig()
     time: TimeConfig = TimeConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
+
+    cost: ClassVar[CostRates] = CostRates(40e-6, 4e-6, 5.2, 0.2, bytes_per_node=350)
+
+    def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
+        """Nodes of the background grid."""
+        return nodes_per_axis(config.grid.half_extent, config.grid.dx) ** 3
 
     def check_grid(self, grid: GridConfig) -> None:
         """Refuse time steps beyond the stable range of the material on the grid."""

@@ -12,13 +12,17 @@ from morph_engine.sections import GridConfig, Section, SharedConfig
 
 
 class CostRates(NamedTuple):
-    """What one point costs: CPU seconds per frame, and kilobytes; and a frame on the usual grid."""
+    """What one point costs: CPU seconds per frame, and kilobytes; and a frame on the usual grid.
+
+    Last what a node of the grid takes [bytes].
+    """
 
     seconds_per_particle: float
     seconds_per_target: float
     kilobytes_per_particle: float
     kilobytes_per_target: float
     seconds_per_frame: float = 0.0
+    bytes_per_node: float = 0.0
 
 
 class MethodOptions(Section):
@@ -61,6 +65,16 @@ class MethodOptions(Section):
     def summary(cls) -> str:
         """One sentence on the method."""
         return (cls.__doc__ or "").strip().partition("\n")[0]
+
+    def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
+        """Nodes of the grid of a run; 0 without one.
+
+        Args:
+            config: The configuration that these options are in.
+            radius: Of the ball around the origin that holds both shapes [dx].
+            ratio: Target points over particles.
+        """
+        return 0
 
     def check_grid(self, grid: GridConfig) -> None:
         """Check the options against the grid that they shall hold on.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class PointOptions(MethodOptions):
     """Options of every method that moves points directly."""
 
-    cost: ClassVar[CostRates] = CostRates(6e-6, 5e-6, 0.7, 0.3)  # at 30 steps per frame
+    cost: ClassVar[CostRates] = CostRates(6e-6, 5e-6, 0.4, 0.1)  # at 30 steps per frame
 
     descent: DescentConfig = DescentConfig()
 

@@ -20,7 +20,7 @@ class SinkhornOptions(PointOptions):
     """No physics and no nearest neighbours: points descend entropic optimal transport."""
 
     # its work is on the nodes
-    cost: ClassVar[CostRates] = CostRates(6e-6, 6e-6, 3.0, 2.0, seconds_per_frame=8.3)
+    cost: ClassVar[CostRates] = CostRates(6e-6, 6e-6, 0.5, 0.2, seconds_per_frame=8.3)
 
     name: Literal["sinkhorn"] = "sinkhorn"
     kernel: Kernel = Field("cubic", description="B-spline interpolation.")

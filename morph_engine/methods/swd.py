@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class SwdOptions(PointOptions):
     """No physics and no nearest neighbours: points descend the sliced Wasserstein distance."""
 
-    cost: ClassVar[CostRates] = CostRates(160e-6, 6e-6, 3.0, 2.0)
+    cost: ClassVar[CostRates] = CostRates(160e-6, 6e-6, 0.5, 0.2)
 
     name: Literal["swd"] = "swd"
     directions: int = Field(16, ge=1, le=1024, description="Lines to project on, anew each step.")

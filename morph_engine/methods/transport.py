@@ -37,7 +37,7 @@ class TransportOptions(MpmOptions):
         "fast": {"material": {"drag": 4.0}},
         "published": {"material": {"model": "fixed_corotated"}},
     }
-    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 2.6, 0.2)
+    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.85, 0.2)
 
     name: Literal["transport"] = "transport"
     destinations: Literal["even", "random"] = Field(

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from morph_engine.backend import CPU_CHUNK_COUNT
 from morph_engine.errors import ConfigError
+from morph_engine.mpm.grid_size import PADDING, nodes_per_axis
 from morph_engine.sections import GridConfig, Kernel
 
-PADDING = 2
 LARGEST_INDEX = 2**27 - 1  # of a node, all private grids together
 
 
@@ -51,7 +51,7 @@ class Grid:
     @property
     def resolution(self) -> int:
         """Nodes per axis, padding included."""
-        return round(2 * self.half_extent / self.dx) + 1 + 2 * PADDING
+        return nodes_per_axis(self.half_extent, self.dx)
 
     @property
     def node_count(self) -> int:

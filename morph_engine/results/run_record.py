@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import Placement, Solid, place, placed
-from morph_engine.geometry.point_cloud import median_gap
+from morph_engine.geometry.point_cloud import median_gap, outer_radius
 from morph_engine.geometry.sampling import Similarity
 
 NEIGHBORS = 12
@@ -95,6 +95,16 @@ class RunRecord:
             return self.placement.to_user(share).matrix
         end: Similarity = getattr(self.placement, units)
         return end.inverse().matrix
+
+    @property
+    def radius(self) -> float:
+        """Of the ball around the origin that holds both shapes [dx]."""
+        return outer_radius(self.source_points, self.target_points)
+
+    @property
+    def ratio(self) -> float:
+        """Target points over particles."""
+        return len(self.target_points) / len(self.source_points)
 
     def fitted(self, role: Role) -> tuple[Mesh | None, Similarity]:
         """A shape's mesh as the run has placed it in the domain.

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import ConfigError
 from morph_engine.export import export
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_tracking import carried, mean_distance
 from morph_engine.presets import configure
@@ -29,11 +31,13 @@ DTYPES = {5120: np.int8, 5122: np.int16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 
 
-def stored(path, frames, transform):
+def stored(path, frames, to_user):
     """A result of particles that no simulation has moved."""
+    to_grid = to_user.inverse()
+    placement = Placement(source=to_grid, target=to_grid)
     config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": len(frames)})
     ends = frames[0], frames[-1]
-    with Spool.create(path, RunRecord(config, *ends, *ends, transform=transform)) as spool:
+    with Spool.create(path, RunRecord(config, *ends, *ends, placement=placement)) as spool:
         for index, positions in enumerate(frames):
             spool.append(index, positions, {})
         write_result(spool, status="complete")
@@ -58,10 +62,7 @@ def ring(tmp_path_factory):
         outwards = np.sqrt(away**2 + hole**2) / away
         frames.append((disc * np.hstack([outwards, outwards**0, outwards])).astype(np.float32))
     path = tmp_path_factory.mktemp("ring") / "ring.vtkhdf"
-    turn = np.eye(4)
-    turn[:3, :3] = 0.1 * Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    turn[:3, 3] = 7, 8, 9
-    with Trajectory(stored(path, frames, turn)) as opened:
+    with Trajectory(stored(path, frames, Similarity(0.1, (7.0, 8.0, 9.0)))) as opened:
         yield opened
 
 
@@ -75,7 +76,7 @@ def lump(tmp_path_factory):
         share = np.clip(box[:, 0], 0, None) / 2.5
         frames.append((box + np.outer(length * middle * share, [1, 0, 0])).astype(np.float32))
     path = tmp_path_factory.mktemp("lump") / "lump.vtkhdf"
-    with Trajectory(stored(path, frames, np.eye(4))) as opened:
+    with Trajectory(stored(path, frames, Similarity())) as opened:
         yield opened
 
 

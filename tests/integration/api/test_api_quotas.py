@@ -117,3 +117,15 @@ def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
     assert delete_expired(by_age, queue, sizes) == jobs[1:]
     left: list[Path] = [*(storage.root / "jobs").iterdir()]
     assert [path.name for path in left] == [running] and sizes.total() == 0
+
+
+def test_a_job_that_no_worker_has_room_for_is_refused(make_api: Callable[..., Api]) -> None:
+    """At once, with what it needs; a coarser one is taken."""
+    api = make_api(job_memory_bytes=400_000_000)
+    fine = api.http.post(
+        "/v1/jobs", json=MORPH | {"overrides": {"sampling.points_per_cell_edge": 4}}
+    )
+    assert fine.status_code == 422
+    assert "400 MB" in fine.json()["detail"]
+    assert "sampling.points_per_cell_edge" in fine.json()["remedy"]
+    api.submit(overrides={"sampling.points_per_cell_edge": 2})

@@ -1,0 +1,58 @@
+"""What a run needs, estimated before it begins."""
+
+from pathlib import Path
+
+import psutil
+import pytest
+
+from morph_engine.config import MorphConfig
+from morph_engine.cost import estimate
+from morph_engine.machine_memory import free_memory, total_memory
+from morph_engine.presets import configure
+
+
+def megabytes(config: MorphConfig, count: int = 1000, radius: float = 8.0) -> float:
+    """Estimated memory of a run with as many particles as target points."""
+    nodes = config.method.node_count(config, radius=radius, ratio=1.0)
+    return estimate(count, count, 10, method=config.method.name, nodes=nodes).memory_mb
+
+
+@pytest.mark.parametrize("method", ["physics", "joint"])
+def test_memory_knows_the_grid(method: str) -> None:
+    """As measured: 2061 MB with 160 cells and 44 000 particles, 716 MB with 100 and 11 000."""
+    fine, coarse = (
+        configure(overrides={"method": method, "grid.dx": 32 / cells, "time.dt": 0.0005})
+        for cells in (160, 100)
+    )
+    assert megabytes(fine, 40_000) == pytest.approx(2061, rel=0.15)
+    assert megabytes(coarse, 10_000) == pytest.approx(716, rel=0.15)
+
+
+def test_the_grid_of_the_flow_holds_both_shapes() -> None:
+    """As measured, with 4 particles per cell edge: 325, 470 and 809 MB for balls of such radii."""
+    config = configure(overrides={"sampling.points_per_cell_edge": 4})
+    for radius, seen in ((3, 325), (8, 470), (13, 809)):
+        assert megabytes(config, 6500, radius) == pytest.approx(seen, rel=0.25)
+
+
+def test_without_a_grid_its_spacing_does_not_matter() -> None:
+    """Points alone take what points take."""
+    fine, coarse = (configure(overrides={"method": "dco", "grid.dx": dx}) for dx in (0.5, 1.0))
+    assert megabytes(fine) == megabytes(coarse)
+
+
+def test_a_container_has_what_it_is_given(tmp_path: Path) -> None:
+    """The limit of its group, and what it has left; no limit means the machine's memory."""
+    machine = psutil.virtual_memory()
+    assert total_memory(tmp_path) == machine.total
+    (tmp_path / "memory.max").write_text("max\n")
+    (tmp_path / "memory.current").write_text("1000\n")
+    assert total_memory(tmp_path) == machine.total
+    (tmp_path / "memory.max").write_text("5000\n")
+    assert total_memory(tmp_path) == 5000
+    assert free_memory(tmp_path) == 4000
+    older = tmp_path / "memory"
+    older.mkdir()
+    (older / "memory.limit_in_bytes").write_text("3000\n")
+    (older / "memory.usage_in_bytes").write_text("4000\n")
+    assert (total_memory(tmp_path), free_memory(tmp_path)) == (3000, 0)
