@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -71,6 +71,24 @@ class ReproductionDisplay(ProgressDisplay):
         if done > SETTLED_SHARE * progress.cost:
             return left * (time.monotonic() - self._begun) / done
         return left / self._jobs
+
+
+class EndsDisplay(ProgressDisplay):
+    """A line for the ends that are measured against meshes; elsewhere a line for every tenth."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        super().__init__(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), quiet=quiet
+        )
+        self._task: TaskID | None = None
+
+    def show(self, done: int, total: int) -> None:
+        """Show how many have been measured."""
+        if self._task is None:
+            self._task = self._progress.add_task("ends measured", total=total)
+        self._progress.update(self._task, completed=done)
+        if not self._console.is_terminal and (done == total or done % 10 == 0):
+            self.print(f"{done}/{total} ends measured")
 
 
 def print_plan(

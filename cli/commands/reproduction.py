@@ -61,6 +61,7 @@ def reproduce(
     What this code has computed is kept and used again; an interrupted command goes on when
     repeated.
     """
+    from chamfer_morph.cli.reproduce_display import EndsDisplay
     from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
     from chamfer_morph.reproduction.registry import runs_of, select
     from chamfer_morph.reproduction.report.writer import write
@@ -87,7 +88,10 @@ def reproduce(
         key=key,
         quiet=quiet,
     )
-    records = with_ends(_runs_by_mesh(experiments), records, store, folder)
+    with EndsDisplay(quiet=quiet) as display:
+        records = with_ends(
+            _runs_by_mesh(experiments), records, store, folder, on_progress=display.show
+        )
     output = write(experiments, records, store)
     failed = [record for record in records.values() if not record.is_complete]
     if as_json:

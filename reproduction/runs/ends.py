@@ -7,7 +7,7 @@ what the two draws differ by is what a number owes to the points.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy.typing as npt
@@ -36,26 +36,46 @@ SETS = 4
 
 
 def with_ends(
-    runs: Sequence[Run], records: Mapping[str, Record], store: Store, meshes: MeshFolder
+    runs: Sequence[Run],
+    records: Mapping[str, Record],
+    store: Store,
+    meshes: MeshFolder,
+    *,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Record]:
     """Records with the ends of these runs, measured and kept in the store where they lack them.
 
     A run whose result file is gone keeps the ends that it has, if any.
 
+    Args:
+        runs: The runs.
+        records: Records by the ids of their runs.
+        store: Has the results.
+        meshes: Has the targets.
+        on_progress: Called with the number of ends measured and to be measured.
+
     Raises:
         MorphError: A mesh is missing, a result damaged, or the disk refuses.
     """
     found = dict(records)
-    for run in sorted(runs, key=lambda run: run.target):  # so that points are drawn once a target
-        record = found.get(run.id)
-        if record is None or not record.is_complete or record.ends:
-            continue
-        if store.result_path(run).is_file():
-            with store.trajectory(run) as result:
-                ends = measure_end(result.positions(-1), meshes.locate(run.target))
-            found[run.id] = record.model_copy(update={"ends": ends})
-            store.save(found[run.id])
+    lacking = [run for run in runs if _lacks_ends(run, found, store)]
+    lacking.sort(key=lambda run: run.target)  # so that points are drawn once a target
+    for done, run in enumerate(lacking):
+        on_progress(done, len(lacking))
+        with store.trajectory(run) as result:
+            ends = measure_end(result.positions(-1), meshes.locate(run.target))
+        found[run.id] = found[run.id].model_copy(update={"ends": ends})
+        store.save(found[run.id])
+    if lacking:
+        on_progress(len(lacking), len(lacking))
     return found
+
+
+def _lacks_ends(run: Run, records: Mapping[str, Record], store: Store) -> bool:
+    record = records.get(run.id)
+    if record is None or not record.is_complete or record.ends:
+        return False
+    return store.result_path(run).is_file()
 
 
 def measure_end(positions: npt.ArrayLike, target: str) -> list[dict[str, float]]:
