@@ -17,6 +17,8 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from chamfer_morph.server.database.api_keys import Caller
+
 HEADER = "X-Request-ID"
 
 GIVEN = re.compile(r"[\w.:-]{1,64}", re.ASCII)
@@ -35,7 +37,8 @@ class AuditMiddleware:
 
     A line is one JSON object: `time` in UTC, `request`, `key` (empty without one), `operation`,
     `method`, `path`, `status`, and `seconds` until the answer began. A refused request has a line,
-    too; a status of 0 says that nothing was answered. No line has a body, a query or a secret.
+    too; a status of 0 says that nothing was answered. No line has a body, a query or a secret. As
+    long as there are no keys, only refused requests have lines: all others come from one person.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -60,12 +63,14 @@ class AuditMiddleware:
         try:
             await self.app(scope, receive, send_named)
         finally:
-            if scope["method"] not in READING:
-                _log.info(json.dumps(_line(scope, name, status, seconds)))
+            caller = scope.get("state", {}).get("caller")
+            if scope["method"] not in READING and (caller is None or caller.name):
+                _log.info(json.dumps(_line(scope, caller, name, status, seconds)))
 
 
-def _line(scope: Scope, name: str, status: int, seconds: float) -> dict[str, Any]:
-    caller = scope.get("state", {}).get("caller")
+def _line(
+    scope: Scope, caller: Caller | None, name: str, status: int, seconds: float
+) -> dict[str, Any]:
     return {
         "time": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
         "request": name,
