@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import inf
 from statistics import median
 
+from chamfer_morph.reproduction.report.paired import median_interval
 from chamfer_morph.reproduction.report.tables import (
     METRIC_NAMES,
     Table,
@@ -62,6 +63,8 @@ def transport(table: Table) -> list[str]:
 def headline(table: Table) -> list[str]:
     """Each method's median of each number, and how far a second draw of the points moves any.
 
+    Medians over the pairs have an interval of 95 %.
+
     Methods that have not been run on all pairs have none: their pairs may be the easy ones.
     """
     methods: dict[str, list[str]] = {}
@@ -71,13 +74,18 @@ def headline(table: Table) -> list[str]:
     for metric in table.experiment.metrics:
         numbers = {method: table.numbers(metric, labels) for method, labels in methods.items()}
         parts = [
-            f"{method} {median(values.values()):.3f}"
+            f"{method} {_median(list(values.values()))}"
             for method, values in numbers.items()
             if len(values) == len(methods[method])
         ]
         if parts:
             sentences.append(f"{METRIC_NAMES[metric]}, medians: {', '.join(parts)}.")
     return [*sentences, *_largest_move(table)]
+
+
+def _median(values: list[float]) -> str:
+    low, high = median_interval(values)
+    return f"{median(values):.3f} ({low:.3f} to {high:.3f})"
 
 
 def _largest_move(table: Table) -> list[str]:

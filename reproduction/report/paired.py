@@ -1,12 +1,13 @@
-"""Differences between two rows that share their seeds, and counts over pairs, with intervals."""
+"""Differences of rows that share their seeds, counts and medians over pairs, with intervals."""
 
 from __future__ import annotations
 
 import math
 import statistics
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.stats import norm, t
+from scipy.stats import binom, norm, t
 
 from chamfer_morph.reproduction.report.tables import Table
 
@@ -68,3 +69,13 @@ def share_interval(successes: int, count: int) -> tuple[float, float]:
     middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
     half = z / (1 + z**2 / count) * math.sqrt(share * (1 - share) / count + (z / count / 2) ** 2)
     return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
+    """An interval for the median over pairs, between two of the values, whatever they follow.
+
+    With fewer than six values it would have to be wider than they are: it is all of them.
+    """
+    ordered = sorted(values)
+    below = max(int(binom.ppf((1 - LEVEL) / 2, len(ordered), 0.5)) - 1, 0)
+    return ordered[below], ordered[-1 - below]

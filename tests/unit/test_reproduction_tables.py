@@ -6,6 +6,7 @@ import re
 from datetime import datetime, timezone
 
 import pytest
+from scipy.stats import binom
 
 from chamfer_morph.reproduction.experiments.paper_tables import (
     ABLATION,
@@ -19,7 +20,11 @@ from chamfer_morph.reproduction.experiments.paper_tables import (
 )
 from chamfer_morph.reproduction.published.numbers import PAPER
 from chamfer_morph.reproduction.report.findings import findings
-from chamfer_morph.reproduction.report.paired import paired_difference, share_interval
+from chamfer_morph.reproduction.report.paired import (
+    median_interval,
+    paired_difference,
+    share_interval,
+)
 from chamfer_morph.reproduction.report.section import display_table
 from chamfer_morph.reproduction.report.sources import sources, summary
 from chamfer_morph.reproduction.report.tables import (
@@ -148,6 +153,16 @@ def test_interval_of_a_share():
         for end in share_interval(wins, 20):
             deviation = (end * (1 - end) / 20) ** 0.5
             assert abs(wins / 20 - end) == pytest.approx(1.959964 * deviation, abs=1e-6)
+
+
+@pytest.mark.parametrize("count", [6, 9, 25, 40])
+def test_the_interval_of_a_median_holds_it_in_19_of_20_draws(count):
+    """It is the narrowest one between two of the values that does."""
+    low, high = median_interval(list(range(count))[::-1])
+    assert low + high == count - 1
+    within = 1 - 2 * binom.cdf(low, count, 0.5)
+    narrower = 1 - 2 * binom.cdf(low + 1, count, 0.5)
+    assert within >= 0.95 > narrower
 
 
 def test_least_coincidence():
