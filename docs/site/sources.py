@@ -34,7 +34,7 @@ SECTIONS = {
     "Methods": ("method", "transport", "algorithm", "presets", "metrics"),
     "The paper": (
         "reproduction", "findings", "propositions", "results/README", "results/report",
-        "results/fair", "results/transport", "results/presets",
+        "results/headline", "results/fair", "results/transport", "results/presets",
     ),
     "Reference": (
         "reference/command_line", "reference/settings", *library.pages(), "api", "reference/http",
