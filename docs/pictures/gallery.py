@@ -67,7 +67,7 @@ def row_of_surfaces(result: Path, title: str) -> np.ndarray:
         panels = [
             picture(
                 shown.vertices,
-                spacing=selection.spacing,
+                spacing=shown.spacing,
                 faces=shown.faces,
                 colors=colors[cKDTree(points).query(shown.vertices)[1]],
                 view=view,

@@ -63,7 +63,7 @@ def _densities(results: dict[str, Path], path: Path) -> None:
         panel.imshow(
             picture(
                 snapshot.vertices,
-                spacing=selection.spacing,
+                spacing=snapshot.spacing,
                 values=snapshot.fields["density"],
                 limits=DENSITIES,
                 diverging=True,
@@ -82,17 +82,19 @@ def _surface(result: Path, path: Path) -> None:
     """Particles of the last frame, and the surface around them."""
     with Trajectory(result) as trajectory:
         selections = [_last(trajectory), _last(trajectory, surface=True)]
-        shown = [(selection.spacing, *selection.snapshots()) for selection in selections]
-    view = Camera.facing(shown[0][1].vertices, VIEW, SIZE)
+        shown = [snapshot for selection in selections for snapshot in selection.snapshots()]
+    view = Camera.facing(shown[0].vertices, VIEW, SIZE)
     figure = Figure(figsize=(8.4, 4.2), layout="constrained")
-    for panel, (spacing, snapshot) in zip(figure.subplots(1, 2), shown, strict=True):
-        panel.imshow(_plain(snapshot, spacing, view))
+    for panel, snapshot in zip(figure.subplots(1, 2), shown, strict=True):
+        panel.imshow(_plain(snapshot, view))
         panel.set_axis_off()
     figure.savefig(path, dpi=110)
 
 
-def _plain(snapshot: Snapshot, spacing: float, view: Camera) -> NDArray[np.uint8]:
-    return picture(snapshot.vertices, spacing=spacing, faces=snapshot.faces, view=view, size=SIZE)
+def _plain(snapshot: Snapshot, view: Camera) -> NDArray[np.uint8]:
+    return picture(
+        snapshot.vertices, spacing=snapshot.spacing, faces=snapshot.faces, view=view, size=SIZE
+    )
 
 
 def _last(
