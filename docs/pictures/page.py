@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -19,7 +20,8 @@ from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
 
 WIDTHS = {"desk": (1400, 900), "phone": (390, 844)}
-SCHEMES = ("light", "dark")
+Scheme = Literal["light", "dark"]
+SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 METHODS = ("joint", "physics", "transport", "dco")
 
 PATIENCE = 120_000
@@ -129,7 +131,7 @@ def _scenes_are_there(count: int) -> Callable[[Page], None]:
     return wait
 
 
-def _picture(browser: Browser, server: str, view: View, width: str, scheme: str) -> Image.Image:
+def _picture(browser: Browser, server: str, view: View, width: str, scheme: Scheme) -> Image.Image:
     horizontal, vertical = WIDTHS[width]
     context = browser.new_context(
         base_url=server,
