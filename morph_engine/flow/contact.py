@@ -1,4 +1,7 @@
-"""What particles feel beside the flow: the surface of the body, and each other."""
+"""What particles feel beside the flow: the surface of the body, and each other.
+
+Lengths are in the unit of the grid that is given, written [dx]: in the method `flow` its own cells.
+"""
 
 import math
 from typing import Any

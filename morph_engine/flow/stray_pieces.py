@@ -2,6 +2,8 @@
 
 Where a limb withdraws or a handle breaks, a few particles may stay behind. Two particles are linked
 where balls that cover a lattice of the spacing h touch, as in `metrics.count_pieces`.
+
+Lengths are in the unit of the grid of the cell list, written [dx]: in the method `flow` its cells.
 """
 
 from functools import cached_property

@@ -37,7 +37,7 @@ class MpmOptions(MethodOptions):
     time: TimeConfig = TimeConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
 
-    cost: ClassVar[CostRates] = CostRates(40e-6, 4e-6, 5.2, 0.2, bytes_per_node=350)
+    cost: ClassVar[CostRates] = MethodOptions.cost._replace(bytes_per_node=350)
 
     def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
         """Nodes of the background grid."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -17,19 +17,20 @@ ADDRESS = "/v1/jobs/no-such-job"
 
 
 @pytest.fixture
-def lines(caplog: pytest.LogCaptureFixture) -> Iterator[list[dict[str, Any]]]:
-    """What is logged, as it comes."""
-
-    class Lines(list[dict[str, Any]]):
-        def __iter__(self) -> Iterator[dict[str, Any]]:
-            audit = (r for r in caplog.records if r.name == "chamfer_morph.audit")
-            return (json.loads(record.getMessage()) for record in audit)
-
+def lines(caplog: pytest.LogCaptureFixture) -> Callable[[], list[dict[str, Any]]]:
+    """Returns what has been logged so far."""
     caplog.set_level(logging.INFO, "chamfer_morph.audit")
-    yield Lines()
+
+    def read() -> list[dict[str, Any]]:
+        audit = (record for record in caplog.records if record.name == "chamfer_morph.audit")
+        return [json.loads(record.getMessage()) for record in audit]
+
+    return read
 
 
-def test_changes_are_logged_with_key_and_name(api: Api, lines: list[dict[str, Any]]) -> None:
+def test_changes_are_logged_with_key_and_name(
+    api: Api, lines: Callable[[], list[dict[str, Any]]]
+) -> None:
     """Reading is not, nor what is done without keys; a refusal is; no line has a secret."""
     made = api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]})
     secret = {"Authorization": f"Bearer {made.json()['secret']}"}
@@ -40,15 +41,15 @@ def test_changes_are_logged_with_key_and_name(api: Api, lines: list[dict[str, An
     )
     assert cancelled.headers["X-Request-ID"] == "click-7"
     refused = api.http.delete(ADDRESS)
-    logged = [(line["operation"], line["key"], line["status"]) for line in lines]
+    logged = [(line["operation"], line["key"], line["status"]) for line in lines()]
     assert logged == [
         ("submitJob", "root", 202), ("cancelJob", "root", 202), ("deleteJob", "", 401),
     ]  # fmt: skip
-    last = list(lines)[-1]
+    last = lines()[-1]
     assert last["request"] == refused.headers["X-Request-ID"]
     assert last["path"] == ADDRESS and last["method"] == "DELETE" and last["seconds"] >= 0
-    assert list(lines)[1]["request"] == "click-7"
-    text = json.dumps(list(lines))
+    assert lines()[1]["request"] == "click-7"
+    text = json.dumps(lines())
     assert made.json()["secret"] not in text and "secret" not in text
 
 
@@ -62,11 +63,11 @@ def test_a_name_that_could_break_a_line_is_replaced(api: Api, given: str) -> Non
     assert len(names) == 2 and given not in names
 
 
-def test_long_paths_are_cut(api: Api, lines: list[dict[str, Any]]) -> None:
+def test_long_paths_are_cut(api: Api, lines: Callable[[], list[dict[str, Any]]]) -> None:
     """However long an address is, its line is short."""
     api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]})
     assert api.http.delete("/v1/jobs/" + "x" * 5000).status_code == 401
-    assert [len(json.dumps(line)) < 600 for line in lines] == [True]
+    assert [len(json.dumps(line)) < 600 for line in lines()] == [True]
 
 
 def test_worker_slots_are_counted(api: Api) -> None:
