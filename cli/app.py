@@ -22,6 +22,7 @@ _MODULES = {
     "jobs": ("submit", "jobs", "show", "watch", "cancel", "retry", "resume", "delete", "fetch"),
     "sweeps": ("sweep",),
     "processes": ("serve", "worker"),
+    "doctor": ("doctor",),
     "service": ("keys", "workers"),
 }
 

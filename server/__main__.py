@@ -70,21 +70,23 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     if arguments.command == "keys":
         return _manage_keys(arguments, api_keys)
     from chamfer_morph.server.auth import check_keys
+    from chamfer_morph.worker.storage import open_storage
 
     check_keys(settings, api_keys)
     if arguments.command == "check":
         from chamfer_morph.worker.dbos_adapter import migrate
 
         migrate(settings)
+        if settings.object_store:
+            open_storage(settings, "api").probe()
     else:
         from chamfer_morph.server.api_server import ApiServer
         from chamfer_morph.server.http.connection_limits import allow_many_files
         from chamfer_morph.server.listener import listen
-        from chamfer_morph.worker.storage import Storage
 
         allow_many_files()
         # parts of forms lie beside the meshes on their way in, for /tmp may be memory
-        tempfile.tempdir = str(Storage(settings.data_dir).uploads)
+        tempfile.tempdir = str(open_storage(settings, "api").uploads)
         inherited = arguments.fd is not None
         listener = socket.socket(fileno=arguments.fd) if inherited else listen(settings)
         ApiServer(settings).run(sockets=[listener])

@@ -23,7 +23,8 @@ from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.slots import WorkerSlots
+from chamfer_morph.worker.storage import Storage, open_storage
 
 Result = TypeVar("Result")
 
@@ -50,7 +51,7 @@ class ServerContext:
 
     def __init__(self, settings: Settings) -> None:
         self.settings: Settings = settings
-        self.storage: Storage = Storage(settings.data_dir)
+        self.storage: Storage = open_storage(settings, "api")
         self.queue: JobQueue = JobQueue(settings)
         self.queue.migrate()
         self.engine: sa.Engine = database(settings)
@@ -60,6 +61,7 @@ class ServerContext:
             self.api_keys, open_without_keys=is_loopback(settings.host)
         )
         self.meshes: MeshStore = MeshStore(self.engine)
+        self.worker_slots: WorkerSlots = WorkerSlots(self.engine)
         self.sweeps: SweepStore = SweepStore(self.engine)
         self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
         self.quotas: Quotas = Quotas(

@@ -175,6 +175,7 @@ class EventHub:
     def _read_all(self, feeds: dict[str, JobFeed]) -> None:
         states = self._queue.states(feeds)
         for job_id, feed in feeds.items():
+            self._storage.fetch(job_id, log_only=True)
             feed.read(states.get(job_id))
 
 

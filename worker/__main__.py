@@ -10,9 +10,9 @@ import sys
 import threading
 import time
 
-from chamfer_morph.worker import slots
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings, load_settings
+from chamfer_morph.worker.slots import WorkerSlots, executor_id
 from morph_engine.errors import MorphError
 
 POLL_SECONDS = 0.05
@@ -43,12 +43,12 @@ def main() -> None:
 
 def _run(arguments: argparse.Namespace, settings: Settings) -> None:
     from chamfer_morph.worker.dbos_adapter import check_reachable
-    from chamfer_morph.worker.storage import Storage
+    from chamfer_morph.worker.storage import open_storage
 
-    Storage(settings.data_dir)
+    open_storage(settings, "worker")
     check_reachable(settings)
     if arguments.command == "run":
-        run_slot(settings, slots.executor_id(arguments.slot))
+        run_slot(settings, executor_id(arguments.slot))
     elif arguments.command == "janitor":
         from chamfer_morph.worker import janitor
 
@@ -77,6 +77,7 @@ def adopt(settings: Settings, executor: str) -> None:
 
 def run_slot(settings: Settings, executor: str) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
+    from chamfer_morph.worker.dbos_adapter import database
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
@@ -88,11 +89,12 @@ def run_slot(settings: Settings, executor: str) -> None:
     lock = wait_for_lock(settings, executor, LOCK_TIMEOUT_SECONDS)
     if lock is None:
         sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
-    slots.register(settings.data_dir, executor)
+    slots = WorkerSlots(database(settings, kept=1))
+    slots.register(executor)
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
-    paused = slots.is_paused(settings.data_dir, executor)
+    paused = slots.is_paused(executor)
     spare = SpareEngine(settings)
     if not paused:
         launch(settings, executor, spare)
@@ -105,8 +107,8 @@ def run_slot(settings: Settings, executor: str) -> None:
             if not lock.held():
                 spare.end()
                 os._exit(1)  # somebody else may take its jobs: stop at once
-        if paused and not slots.is_paused(settings.data_dir, executor):
-            os._exit(ExitCode.PAUSED)  # start again, unpaused
+            if paused and not slots.is_paused(executor):
+                os._exit(ExitCode.PAUSED)  # start again, unpaused
     spare.end()
     os._exit(0)  # the engine process of its job ends with it
 

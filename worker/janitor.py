@@ -13,7 +13,7 @@ from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.retention.steady_clock import SteadyClock
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import Storage, open_storage
 from morph_engine.child_process import python_command
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ def delete_expired(
     Returns:
         Ids of the deleted jobs.
     """
-    storage = Storage(settings.data_dir)
+    storage = open_storage(settings, "janitor")
     deleted: list[str] = []
 
     def delete(job: str) -> None:
@@ -133,7 +133,7 @@ def run(settings: Settings) -> None:
     """Do all of it for ever."""
     queue = JobQueue(settings)
     queue.migrate()
-    storage = Storage(settings.data_dir)
+    storage = open_storage(settings, "janitor")
     sizes = JobSizes(database(settings), queue, storage)
     clock = SteadyClock(settings.data_dir / "locks" / "clock")
     next_deletion = 0.0

@@ -33,7 +33,7 @@ from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, databas
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state, statuses
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import StoreUnavailableError, open_storage
 
 APPLICATION = "morph"
 APPLICATION_VERSION = "1"
@@ -110,6 +110,7 @@ class JobQueue:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
+        self._storage = open_storage(settings, "queue")
         self._engine = database(settings)
         self._client = DBOSClient(
             system_database_url=settings.system_database_url,
@@ -317,7 +318,7 @@ class JobQueue:
         Raises:
             JobChangedError: It is not finished, or not there, any more.
         """
-        Storage(self._settings.data_dir).unmark(job_id)
+        self._storage.unmark(job_id)
         self._rewind(job_id)
 
     def retry(self, job_id: str) -> None:
@@ -329,15 +330,14 @@ class JobQueue:
         Raises:
             JobChangedError: It is not finished, or not there, any more.
         """
-        storage = Storage(self._settings.data_dir)
-        mark = storage.mark_for_discard(job_id)
+        mark = self._storage.mark_for_discard(job_id)
         try:
             self._rewind(job_id)
         except JobChangedError:
-            mark.unlink(missing_ok=True)
+            self._storage.unmark(job_id, mark)
             raise
-        with suppress(OSError):  # its worker does it, else
-            storage.discard_if_marked(job_id, wait_seconds=0)
+        with suppress(OSError, StoreUnavailableError):  # its worker does it, else
+            self._storage.discard_if_marked(job_id, wait_seconds=0)
 
     def delete(self, job_id: str) -> None:
         """Forget a job; its files are for `Storage.remove_job`."""

@@ -32,6 +32,21 @@ class Settings(BaseSettings):
     database_url: str = Field(
         "", description="postgresql://... to spread over machines; SQLite in data_dir if empty."
     )
+    object_store: str = Field(
+        "",
+        description="s3://bucket/prefix for hosts that share no folder; files in data_dir if "
+        "empty. Keys and endpoint come from the AWS_* variables.",
+    )
+    object_store_seconds: float = Field(
+        600,
+        ge=0,
+        description="How long a worker waits for an object store before its job fails [s].",
+    )
+    object_store_cache_bytes: int = Field(
+        20 * GIB,
+        gt=0,
+        description="Disk for copies of what is in the object store, for each process [bytes].",
+    )
     host: str = Field(
         "127.0.0.1", description="Address to listen on; others than loopback need keys."
     )

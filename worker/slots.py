@@ -1,10 +1,20 @@
-"""Worker slots: their names, and pausing them."""
+"""Worker slots: their names, and pausing them, in a table that all hosts see."""
 
 from __future__ import annotations
 
 import re
 import socket
-from pathlib import Path
+
+import sqlalchemy as sa
+
+from chamfer_morph.worker.tables import create_missing
+
+_TABLE = sa.Table(
+    "morph_worker_slots",
+    sa.MetaData(),
+    sa.Column("name", sa.String(255), primary_key=True),
+    sa.Column("paused", sa.Boolean, nullable=False),
+)
 
 
 def executor_id(slot: int) -> str:
@@ -12,32 +22,40 @@ def executor_id(slot: int) -> str:
     return f"{re.sub(r'[^A-Za-z0-9.-]', '-', socket.gethostname())}-slot{slot}"
 
 
-def is_paused(data_dir: Path, executor: str) -> bool:
-    """Whether a slot takes no new jobs."""
-    return _pause_file(data_dir, executor).exists()
+class WorkerSlots:
+    """The table. Calls block.
 
+    Args:
+        engine: The database of the queue.
+    """
 
-def pause(data_dir: Path, executor: str) -> None:
-    """Let a slot finish its job and take no other, until `unpause`."""
-    _pause_file(data_dir, executor).touch()
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+        create_missing(engine, _TABLE)
 
+    def register(self, name: str) -> None:
+        """Note that a slot works for this service."""
+        if name not in self.all():
+            try:
+                with self._engine.begin() as connection:
+                    connection.execute(sa.insert(_TABLE).values(name=name, paused=False))
+            except sa.exc.IntegrityError:  # another process was quicker
+                pass
 
-def unpause(data_dir: Path, executor: str) -> None:
-    """Let a slot take jobs again."""
-    _pause_file(data_dir, executor).unlink(missing_ok=True)
+    def all(self) -> dict[str, bool]:
+        """Every slot that has ever worked for this service, and whether it is paused."""
+        query = sa.select(_TABLE.c.name, _TABLE.c.paused).order_by(_TABLE.c.name)
+        with self._engine.connect() as connection:
+            return {name: paused for name, paused in connection.execute(query)}
 
+    def is_paused(self, name: str) -> bool:
+        """Whether a slot takes no new jobs."""
+        query = sa.select(_TABLE.c.paused).where(_TABLE.c.name == name)
+        with self._engine.connect() as connection:
+            return bool(connection.execute(query).scalar_one_or_none())
 
-def names(data_dir: Path) -> list[str]:
-    """Names of all slots that have ever run on this storage."""
-    return sorted(path.name for path in (data_dir / "workers").glob("*-slot*[0-9]"))
-
-
-def register(data_dir: Path, executor: str) -> None:
-    """Note that a slot runs on this storage."""
-    (data_dir / "workers" / executor).touch()
-
-
-def _pause_file(data_dir: Path, executor: str) -> Path:
-    if not re.fullmatch(r"[A-Za-z0-9.-]+", executor):
-        raise ValueError(f"{executor!r} is no worker slot")
-    return data_dir / "workers" / f"{executor}.paused"
+    def pause(self, name: str, paused: bool = True) -> None:
+        """Let a slot finish its job and take no other; or, not paused, let it take jobs again."""
+        with self._engine.begin() as connection:
+            change = sa.update(_TABLE).where(_TABLE.c.name == name).values(paused=paused)
+            connection.execute(change)

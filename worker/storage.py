@@ -1,4 +1,8 @@
-"""The data directory: meshes by the digest of their file, one directory per job, locks."""
+"""The data directory: meshes by the digest of their file, one directory per job, locks.
+
+Hosts share it, or each has its own and an object store keeps what they have in common: then the
+methods that say so bring the directory and the store together, see `object_store/`.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,46 @@ from typing import Any
 
 from chamfer_morph.schemas import MeshShape, Shape
 from chamfer_morph.worker.event_log import EventLog
-from morph_engine.errors import MeshError, ResultError
+from chamfer_morph.worker.settings import Settings
+from morph_engine.errors import MeshError, MorphError, ResultError
 from morph_engine.files import replacing, sync_directory, wait_for
 
 PROBE_BYTES = 1 << 17
 
 DISCARD = "discard-"
 """How a file begins that marks the rest of its folder to be deleted."""
+
+
+class StoreUnavailableError(MorphError):
+    """The object store does not answer, or answers with an error."""
+
+
+class OwnershipLostError(Exception):
+    """Another worker has claimed the job, or its files were discarded: this one has to stop."""
+
+
+def open_storage(settings: Settings, process: str) -> Storage:
+    """The files of the service, as a process sees them.
+
+    Args:
+        settings: Where they are.
+        process: Name of the process, which has a folder of that name where an object store is used.
+
+    Raises:
+        ConfigError: The address of the object store cannot be used.
+        ExtraError: What it needs is not installed.
+    """
+    if not settings.object_store:
+        return Storage(settings.data_dir)
+    from chamfer_morph.worker.object_store.bucket import Bucket
+    from chamfer_morph.worker.object_store.shared_storage import SharedStorage
+
+    return SharedStorage(
+        settings.data_dir / process,
+        settings.data_dir / "uploads",
+        Bucket.open(settings.object_store),
+        settings.object_store_cache_bytes,
+    )
 
 
 class Storage:
@@ -35,7 +72,7 @@ class Storage:
         if not self.root.exists():
             self.root.mkdir(parents=True, exist_ok=True)
             self.root.chmod(0o700)  # of whoever runs the service alone
-        for name in ("meshes", "uploads", "jobs", "locks", "workers"):
+        for name in ("meshes", "uploads", "jobs", "locks"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
 
     @property
@@ -62,7 +99,7 @@ class Storage:
 
     def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:
         """Move an uploaded file to its place; the mesh exists once its report does."""
-        folder = self.root / "meshes" / sha256
+        folder = self._mesh_folder(sha256)
         folder.mkdir(exist_ok=True)
         os.replace(temporary, folder / f"mesh.{suffix}")
         with replacing(folder / "report.json") as path:
@@ -73,12 +110,12 @@ class Storage:
         """The file of a mesh, or None where there is none, or its report cannot be read."""
         if self.mesh_report(sha256) is None:
             return None
-        return next((self.root / "meshes" / sha256).glob("mesh.*"), None)
+        return next(self._mesh_folder(sha256).glob("mesh.*"), None)
 
     def mesh_report(self, sha256: str) -> dict[str, Any] | None:
         """The ingest report of a mesh, or None where there is none that can be read."""
         try:
-            text = (self.root / "meshes" / sha256 / "report.json").read_text(encoding="utf-8")
+            text = (self._mesh_folder(sha256) / "report.json").read_text(encoding="utf-8")
             report = json.loads(text)["report"]
         except (OSError, ValueError, LookupError, TypeError):
             return None
@@ -86,7 +123,7 @@ class Storage:
 
     def remove_mesh(self, sha256: str) -> None:
         """Delete a mesh, if it is there."""
-        folder = self.root / "meshes" / sha256
+        folder = self._mesh_folder(sha256)
         (folder / "report.json").unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -102,6 +139,42 @@ class Storage:
         if file is None:
             raise MeshError(f"The mesh {shape.mesh} has been deleted.", "Upload it again.")
         return str(file)
+
+    def fetch(self, job_id: str, settled: object = None, *, log_only: bool = False) -> None:
+        """See to it that the directory of a job has what other hosts have published.
+
+        Args:
+            job_id: The job.
+            settled: Tells what a finished job is from what it was before; None while it runs.
+            log_only: Whether only its events and messages are wanted.
+
+        Raises:
+            StoreUnavailableError: The object store does not answer.
+        """
+
+    def claim(self, job_id: str, wait_seconds: float) -> None:
+        """Take the files of a job over from whoever worked on it last, who cannot publish any more.
+
+        Args:
+            job_id: The job.
+            wait_seconds: How long to wait for an engine that is just ending [s].
+
+        Raises:
+            OwnershipLostError: Others take it over all the time.
+            StoreUnavailableError: The object store does not answer.
+        """
+        self.job_dir(job_id).mkdir(exist_ok=True)
+
+    def publish(self, job_id: str) -> None:
+        """Let other hosts have what is new in the directory of a job that was claimed.
+
+        Raises:
+            OwnershipLostError: Another worker has claimed it.
+            StoreUnavailableError: The object store does not answer; to be called again.
+        """
+
+    def release(self, job_id: str) -> None:
+        """Have done with a job: all of it is published."""
 
     def job_dir(self, job_id: str) -> Path:
         """The directory of a job; it need not exist yet."""
@@ -141,29 +214,24 @@ class Storage:
 
     def job_bytes(self, job_id: str) -> int:
         """Disk that a job fills [bytes]."""
-        total = 0
-        for folder, _, files in os.walk(self.job_dir(job_id)):
-            for name in files:
-                with suppress(FileNotFoundError):
-                    total += os.stat(os.path.join(folder, name)).st_size
-        return total
+        return folder_bytes(self.job_dir(job_id))
 
-    def mark_for_discard(self, job_id: str) -> Path:
+    def mark_for_discard(self, job_id: str) -> str:
         """Mark what a job has left, to be deleted before it is computed again.
 
         Returns:
-            The mark, a file of its own for each call.
+            The name of the mark, another one for each call.
         """
         folder = self.job_dir(job_id)
         folder.mkdir(exist_ok=True)
-        mark = folder / f"{DISCARD}{secrets.token_hex(8)}"
-        mark.touch()
+        mark = f"{DISCARD}{secrets.token_hex(8)}"
+        (folder / mark).touch()
         return mark
 
-    def unmark(self, job_id: str) -> None:
-        """Take back the marks of those who died before the job was in the queue."""
-        for mark in self.job_dir(job_id).glob(f"{DISCARD}*"):
-            mark.unlink(missing_ok=True)
+    def unmark(self, job_id: str, mark: str | None = None) -> None:
+        """Take back a mark, or all those of who died before the job was in the queue."""
+        for path in self.job_dir(job_id).glob(mark or f"{DISCARD}*"):
+            path.unlink(missing_ok=True)
 
     def discard_if_marked(self, job_id: str, *, wait_seconds: float) -> None:
         """Delete what a job has left, if that is marked and no engine works on it.
@@ -190,6 +258,19 @@ class Storage:
     def remove_job(self, job_id: str) -> None:
         """Delete what a job left, if anything."""
         shutil.rmtree(self.job_dir(job_id), ignore_errors=True)
+
+    def _mesh_folder(self, sha256: str) -> Path:
+        return self.root / "meshes" / sha256
+
+
+def folder_bytes(root: Path) -> int:
+    """Disk that the files below a folder fill [bytes]."""
+    total = 0
+    for folder, _, files in os.walk(root):
+        for name in files:
+            with suppress(FileNotFoundError):
+                total += os.stat(os.path.join(folder, name)).st_size
+    return total
 
 
 @contextmanager

@@ -6,13 +6,16 @@ import asyncio
 import contextlib
 import logging
 import os
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dbos import DBOS, DBOSConfig, PortableWorkflowError, WorkflowSerializationFormat
 from dbos import error as dbos_error
+from sqlalchemy.exc import DBAPIError
 
-from chamfer_morph.schemas import Problem
+from chamfer_morph.schemas import MeshShape, Outcome, Problem
 from chamfer_morph.worker import queue
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
 from chamfer_morph.worker.dbos_adapter import (
@@ -24,9 +27,15 @@ from chamfer_morph.worker.dbos_adapter import (
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.publication import patiently, publishing
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.slots import is_paused
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.slots import WorkerSlots
+from chamfer_morph.worker.storage import (
+    OwnershipLostError,
+    Storage,
+    StoreUnavailableError,
+    open_storage,
+)
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 
 MAX_RECOVERIES = 50
@@ -34,6 +43,7 @@ MAX_RECOVERIES = 50
 _settings: Settings
 _executor: str
 _spare: SpareEngine
+_slots: WorkerSlots
 
 
 def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: bool = True) -> None:
@@ -45,9 +55,10 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
         spare: Where engine processes come from.
         listen: Whether to take new jobs.
     """
-    global _settings, _executor, _spare
+    global _settings, _executor, _spare, _slots
     _settings, _executor, _spare = settings, executor, spare
     engine = database(settings, kept=1)
+    _slots = WorkerSlots(engine)
     end_when_disk_is_full(engine)
     config: DBOSConfig = {
         "name": queue.APPLICATION,
@@ -75,8 +86,9 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
 )
 async def morph(spec: dict[str, Any]) -> dict[str, Any]:
     """Compute a job."""
-    if is_paused(_settings.data_dir, _executor):
-        os._exit(ExitCode.PAUSED)  # the job goes to another slot
+    with contextlib.suppress(DBAPIError):  # of no weight when the database has a hiccup
+        if await asyncio.to_thread(_slots.is_paused, _executor):
+            os._exit(ExitCode.PAUSED)  # the job goes to another slot
     try:
         return await compute(spec)
     except AttemptFailed as failure:
@@ -91,21 +103,35 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     """Attempt a job until it succeeds, is refused, or has failed too often."""
     job_id = DBOS.workflow_id
     assert job_id is not None
-    storage = Storage(_settings.data_dir)
-    job_dir = storage.job_dir(job_id)
+    storage = open_storage(_settings, _executor)
     try:
-        job_dir.mkdir(exist_ok=True)
-        await asyncio.to_thread(storage.discard_if_marked, job_id, wait_seconds=LOCK_SECONDS)
-        _write_spec(job_dir, spec)
-    except OSError as error:
-        raise AttemptFailed(_disk_refuses(error), 0) from error
+        outcome = await _attempt(storage, job_id, JobSpec.model_validate(spec))
+        with _explaining():
+            await patiently(partial(storage.publish, job_id), _settings.object_store_seconds)
+    except BaseException:
+        with contextlib.suppress(OSError, OwnershipLostError, StoreUnavailableError):
+            await asyncio.to_thread(storage.publish, job_id)
+            storage.release(job_id)
+        raise
+    storage.release(job_id)
+    return outcome.model_dump(mode="json")
+
+
+async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
+    """Attempt a job until it succeeds, is refused, or has failed too often."""
     log = storage.events(job_id)
-    failures = 0
-    attempt = 1 + sum(1 for event in log.read(limit=10**9) if event.type == "attempt")
+    attempt, failures = 0, 0
     while True:
         try:
-            outcome = await run_attempt(job_dir, attempt, _settings, _spare, _heartbeat)
-            return outcome.model_dump(mode="json")
+            with _explaining():
+                await patiently(
+                    partial(_take_over, storage, job_id, spec), _settings.object_store_seconds
+                )
+            begun = sum(event.type == "attempt" for event in log.read(limit=10**9))
+            attempt = max(attempt, begun) + 1
+            async with publishing(storage, job_id) as publication:
+                beat = partial(_heartbeat, publication)
+                return await run_attempt(storage.job_dir(job_id), attempt, _settings, _spare, beat)
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience
             again = failure.worth_another and failures < _settings.attempts
@@ -117,7 +143,36 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
             if not again:
                 raise
         await asyncio.sleep(_settings.retry_seconds * 2 ** (failures - 1))
-        attempt += 1
+
+
+def _take_over(storage: Storage, job_id: str, spec: JobSpec) -> None:
+    """See to it that this host, and no other, has what the job needs and has left so far."""
+    storage.discard_if_marked(job_id, wait_seconds=LOCK_SECONDS)
+    storage.claim(job_id, LOCK_SECONDS)
+    for shape in (spec.source, spec.target):
+        if isinstance(shape, MeshShape):
+            storage.mesh_file(shape.mesh)
+    _write_spec(storage.job_dir(job_id), spec)
+
+
+@contextlib.contextmanager
+def _explaining() -> Iterator[None]:
+    """Tell what the files of a job have suffered as a failure of the attempt."""
+    try:
+        yield
+    except OSError as error:
+        raise AttemptFailed(_disk_refuses(error), 0) from error
+    except StoreUnavailableError as error:
+        remedy = "See that the object store answers, then resume the job."
+        problem = Problem(cause=error.cause, remedy=remedy, kind="resources")
+        raise AttemptFailed(problem, 0) from error
+    except OwnershipLostError as error:
+        problem = Problem(
+            cause="Another worker has taken the job's files over.",
+            remedy="If that happens again, see that each worker slot has a name of its own.",
+            kind="crash",
+        )
+        raise AttemptFailed(problem, 0) from error
 
 
 def _disk_refuses(error: OSError) -> Problem:
@@ -137,13 +192,16 @@ def _is_unexpected(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], cancelled))
 
 
-async def _heartbeat() -> None:
-    """Raise if this slot has lost the job: the database lets only its owner write."""
+async def _heartbeat(publication: asyncio.Task[None]) -> None:
+    """Raise if this slot has lost the job: database and object store let only its owner write."""
     await DBOS.set_event_async("beat", 0)
+    if publication.done():
+        with _explaining():
+            publication.result()
 
 
-def _write_spec(job_dir: Path, spec: dict[str, Any]) -> None:
-    text = JobSpec.model_validate(spec).model_dump_json(indent=1)
+def _write_spec(job_dir: Path, spec: JobSpec) -> None:
+    text = spec.model_dump_json(indent=1)
     path = job_dir / "spec.json"
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")

@@ -12,6 +12,8 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, Session, mapped_column
 
+from chamfer_morph.worker.tables import create_missing
+
 
 class Row(MappedAsDataclass, DeclarativeBase):
     """Base of rows that are objects, too."""
@@ -57,13 +59,7 @@ class SweepRow(Row):
 
 def create(engine: sa.Engine) -> None:
     """Create what is missing; harmless to repeat, and to do from two processes at once."""
-    with engine.begin() as connection:
-        if engine.dialect.name == "postgresql":
-            connection.execute(sa.text("select pg_advisory_xact_lock(7310245)"))
-        for table in Row.metadata.sorted_tables:
-            connection.execute(sa.schema.CreateTable(table, if_not_exists=True))
-            for index in table.indexes:
-                connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+    create_missing(engine, *Row.metadata.sorted_tables)
 
 
 def insert(engine: sa.Engine, row: Row) -> bool:

@@ -23,6 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from chamfer_morph.schemas import ProblemDocument
 from chamfer_morph.worker.dbos_adapter import is_disk_full as is_database_full
 from chamfer_morph.worker.queue import JobChangedError
+from chamfer_morph.worker.storage import StoreUnavailableError
 from morph_engine.errors import MorphError
 
 MEDIA_TYPE = "application/problem+json"
@@ -212,6 +213,8 @@ def as_problem(error: Exception) -> ProblemError:
     """The answer to an exception."""
     if isinstance(error, ProblemError):
         return error
+    if isinstance(error, StoreUnavailableError):
+        return unavailable(error.cause)
     if isinstance(error, MorphError):
         return ProblemError(422, error.cause, error.remedy)
     if isinstance(error, RequestValidationError):

@@ -17,6 +17,7 @@ from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import is_disk_full, unavailable
 from chamfer_morph.server.routes.workers import worker_statuses
+from chamfer_morph.worker.storage import StoreUnavailableError
 
 router: APIRouter = APIRouter(tags=["health"])
 
@@ -129,6 +130,8 @@ def readyz(context: Context) -> Health:
     except Exception as error:
         if is_disk_full(error):
             raise unavailable("The disk of the service is full.") from error
+        if isinstance(error, StoreUnavailableError):
+            raise unavailable(error.cause) from error
         what = "The data directory" if isinstance(error, OSError) else "The database"
         raise unavailable(f"{what} cannot be used now.") from error
     return Health()

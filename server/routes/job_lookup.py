@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +19,9 @@ from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.results.run_record import RunRecord
 
+LAST_FILES = timedelta(minutes=1)
+"""How long after its end the last files of a job may come; a stopped engine takes a moment."""
+
 
 def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
     """A job that the caller may see.
@@ -28,7 +32,19 @@ def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
     record = context.queue.get(job_id) if is_id(job_id) else None
     if record is None or not caller.can_see(record.owner):
         raise not_found("job", job_id)
+    fetch(record, context, log_only=True)
     return record
+
+
+def fetch(job: JobRecord, context: ServerContext, *, log_only: bool = False) -> None:
+    """See to it that the files of a job are here, where hosts share no folder.
+
+    Raises:
+        StoreUnavailableError: The object store does not answer.
+    """
+    finished = job.finished_at
+    rests = finished and datetime.now(timezone.utc) - finished > LAST_FILES
+    context.storage.fetch(job.id, finished if rests else None, log_only=log_only)
 
 
 VisibleJob = Annotated[JobRecord, Depends(find_job)]
@@ -41,6 +57,7 @@ def find_frame(index: int, job: VisibleJob, context: Context) -> Frame:
         ProblemError: 404.
         ResultError: It is damaged.
     """
+    fetch(job, context)
     frame = read_frame(context.storage.result_path(job.id), index)
     if frame is None:
         yet = "" if job.state.finished else " yet"
@@ -61,6 +78,7 @@ def find_run_record(job: JobRecord, context: ServerContext) -> RunRecord:
     Raises:
         ProblemError: 404, it has not begun.
     """
+    fetch(job, context)
     run = read_run_record(context.storage.result_path(job.id))
     if run is None:
         if job.state.finished:
@@ -82,6 +100,7 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
         ProblemError: 409, there is none.
         MorphError: Its engine was killed, and its frames cannot be made a result.
     """
+    await anyio.to_thread.run_sync(fetch, job, context)
     path = context.storage.result_path(job.id)
     if job.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
         compute = partial(context.sandbox.write_partial_result, job.id)

@@ -12,7 +12,7 @@ from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes.job_lookup import VisibleJob, find_frame
+from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
@@ -67,6 +67,7 @@ def _path(job: JobRecord, context: ServerContext) -> Path:
     Raises:
         ProblemError: 404, there is no frame yet.
     """
+    fetch(job, context)
     count = count_frames(context.storage.result_path(job.id))
     if not count:
         raise ProblemError(404, "There is no frame yet.", "Wait until the job has finished one.")

@@ -21,7 +21,7 @@ from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import open_storage
 from morph_engine.presets import configure
 from morph_engine.results.trajectory import Trajectory
 
@@ -48,7 +48,7 @@ class Cluster:
 
     def __post_init__(self) -> None:
         """Make the tables."""
-        self.storage = Storage(self.settings.data_dir)
+        self.storage = open_storage(self.settings, "test")
         self.queue = JobQueue(self.settings)
         self.queue.migrate()
 
@@ -98,6 +98,7 @@ class Cluster:
 
     def frames(self, job_id: str) -> list[int]:
         """Indices of the frames that were computed, in order, repetitions included."""
+        self.storage.fetch(job_id, log_only=True)
         events = self.storage.events(job_id).read()
         return [event.data["frame"] for event in events if event.type == "frame"]
 
@@ -140,15 +141,15 @@ class Cluster:
 
     def _has_job(self, engine: psutil.Process) -> bool:
         """It writes its messages into the directory of its job."""
-        jobs = str(self.settings.data_dir / "jobs")
         with suppress(psutil.Error):  # it has ended
-            return any(file.path.startswith(jobs) for file in engine.open_files())
+            return any("/jobs/" in file.path for file in engine.open_files())
         return False
 
     def require_sound(self, job_id: str, undisturbed: np.ndarray, *, kills: int = 1) -> None:
         """A succeeded job: its result equals an undisturbed one, and little was done twice."""
         record = self.wait_for_state(job_id, JobState.SUCCEEDED, JobState.FAILED)
         assert record.state is JobState.SUCCEEDED, record.problem
+        self.storage.fetch(job_id)
         with Trajectory(self.storage.result_path(job_id)) as result:
             assert result.status == "complete"
             positions = np.stack(list(result))
@@ -196,8 +197,9 @@ def new_cluster(tmp_path: Path) -> Iterator[Callable[..., Cluster]]:
     """Makes an empty cluster on the database of a URL, with data in a folder."""
     made: list[Cluster] = []
 
-    def make(database_url: str, data_dir: Path | None = None) -> Cluster:
-        made.append(make_cluster(data_dir or tmp_path / f"data{len(made)}", database_url))
+    def make(database_url: str, data_dir: Path | None = None, **settings: str) -> Cluster:
+        folder = data_dir or tmp_path / f"data{len(made)}"
+        made.append(make_cluster(folder, database_url, **settings))
         return made[-1]
 
     yield make
@@ -211,9 +213,9 @@ def cluster(new_cluster: Callable[..., Cluster], database_url: str) -> Cluster:
     return new_cluster(database_url)
 
 
-def make_cluster(data_dir: Path, database_url: str) -> Cluster:
+def make_cluster(data_dir: Path, database_url: str, **settings: str) -> Cluster:
     """A cluster without processes, quick to notice things, without spare engines."""
-    values = {
+    values = settings | {
         "data_dir": str(data_dir),
         "database_url": database_url,
         "poll_seconds": "0.1",

@@ -15,10 +15,11 @@ import pytest
 
 from chamfer_morph.schemas import JobState
 from chamfer_morph.schemas.ids import new_id
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
-from chamfer_morph.worker.slots import executor_id
+from chamfer_morph.worker.slots import WorkerSlots, executor_id
 from morph_engine.sections import GridConfig
 
 pytestmark = [
@@ -320,13 +321,10 @@ def test_owners_take_turns(cluster):
 
 def test_paused_worker_takes_no_job(cluster, undisturbed):
     """A paused slot finishes its job and takes no other; unpaused it goes on."""
-    from chamfer_morph.worker import slots
-
-    data, name = cluster.settings.data_dir, executor_id(0)
     cluster.worker(0)
     first, second = cluster.submit(), cluster.submit()
     cluster.wait_for_frame(first, 1)
-    slots.pause(data, name)
+    WorkerSlots(database(cluster.settings)).pause(executor_id(0))
     cluster.require_sound(first, undisturbed, kills=0)
     time.sleep(1)
     assert cluster.frames(second) == []

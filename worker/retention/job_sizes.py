@@ -13,6 +13,7 @@ import sqlalchemy as sa
 
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.tables import create_missing
 
 PAGE = 1000
 """Jobs measured at once."""
@@ -47,12 +48,7 @@ class JobSizes:
         self._engine = engine
         self._queue = queue
         self._storage = storage
-        with engine.begin() as connection:
-            if engine.dialect.name == "postgresql":
-                connection.execute(sa.text("select pg_advisory_xact_lock(7310246)"))
-            connection.execute(sa.schema.CreateTable(_TABLE, if_not_exists=True))
-            for index in _TABLE.indexes:
-                connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+        create_missing(engine, _TABLE)
 
     def measure_finished(self) -> None:
         """Measure the jobs that have finished since the last time, page by page."""

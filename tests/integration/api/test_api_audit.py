@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from chamfer_morph.worker import slots
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
+from chamfer_morph.worker.slots import WorkerSlots
 from tests.integration.api.conftest import MORPH, Api
 
 ADDRESS = "/v1/jobs/no-such-job"
@@ -74,7 +75,7 @@ def test_worker_slots_are_counted(api: Api) -> None:
     """A slot that nobody holds is dead."""
     figures = api.http.get("/metrics").text
     assert 'morph_workers{state="dead"} 0.0' in figures
-    slots.register(api.settings.data_dir, "elsewhere-slot0")
+    WorkerSlots(database(api.settings)).register("elsewhere-slot0")
     lock = try_lock(api.settings, "elsewhere-slot0")
     assert lock is not None
     try:

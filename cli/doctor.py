@@ -1,0 +1,214 @@
+"""What a machine needs to compute morphs and to serve them, looked at one thing after the other."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from chamfer_morph.cli.tables import format_size
+from chamfer_morph.worker.settings import Settings, load_settings
+from morph_engine.child_process import describe_exit, python_command
+from morph_engine.errors import MorphError
+
+PACKAGES = ("taichi", "numpy", "scipy", "trimesh", "h5py", "fastapi", "dbos")
+
+LIBRARIES = {"libX11.so.6": "libx11-6"} if sys.platform == "linux" else {}
+"""What Taichi loads of the system, and the Debian package of each."""
+
+LEAST_MEMORY, LEAST_DISK = 1 << 30, 1 << 30
+"""What a job of 38 000 particles takes with its result, rounded up [bytes]."""
+
+LARGEST_CLOCK_DIFFERENCE = 5.0
+"""From the database's clock, by which jobs have their deadlines [s]."""
+
+CONNECTIONS_PER_PROCESS = 3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of one thing.
+
+    Attributes:
+        subject: The thing.
+        verdict: "ok"; "warning" where something works, but not as well as it might; "fault".
+        text: What was found.
+        remedy: What to do about it; empty where it is well.
+    """
+
+    subject: str
+    verdict: Literal["ok", "warning", "fault"]
+    text: str
+    remedy: str = ""
+
+
+def examine(*, compute: bool = True) -> Iterator[Finding]:
+    """Look at everything, the quick things first.
+
+    Args:
+        compute: Whether to compute a tiny morph, too, which takes some seconds.
+
+    Yields:
+        Findings as they come.
+    """
+    yield check_software()
+    yield check_libraries()
+    yield check_memory()
+    try:
+        settings = load_settings()
+    except MorphError as error:
+        yield Finding("settings", "fault", error.cause, error.remedy)
+        return
+    yield check_disk(settings.data_dir)
+    checks: list[tuple[str, Callable[[Settings], Finding]]] = [("database", check_database)]
+    if settings.object_store:
+        checks.append(("object store", check_object_store))
+    for subject, check in checks:
+        try:
+            yield check(settings)
+        except MorphError as error:
+            yield Finding(subject, "fault", error.cause, error.remedy)
+    if compute:
+        yield check_morph()
+
+
+def check_software() -> Finding:
+    """Versions, as a report of a fault needs them."""
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in PACKAGES)
+    ours = f"chamfer-morph {metadata.version('chamfer-morph')}"
+    return Finding("software", "ok", f"{ours}, Python {platform.python_version()}, {versions}")
+
+
+def check_libraries() -> Finding:
+    """Libraries of the system without which Taichi cannot be loaded."""
+    missing = []
+    for library in LIBRARIES:
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            missing.append(library)
+    if not missing:
+        return Finding("libraries", "ok", ", ".join(LIBRARIES) or "none needed")
+    packages = " ".join(LIBRARIES[library] for library in missing)
+    return Finding(
+        "libraries", "fault", f"{', '.join(missing)} cannot be loaded.",
+        f"apt-get install {packages}",
+    )  # fmt: skip
+
+
+def check_memory() -> Finding:
+    """Memory and cores that a job may use."""
+    from morph_engine.machine_memory import free_memory, total_memory
+
+    free = free_memory()
+    text = f"{format_size(free)} free of {format_size(total_memory())}, {os.cpu_count()} cores"
+    if free < LEAST_MEMORY:
+        return Finding("memory", "warning", text, "Free some: a job takes half a gigabyte.")
+    return Finding("memory", "ok", text)
+
+
+def check_disk(data_dir: Path) -> Finding:
+    """Whether the data directory can be written, and has room."""
+    place = next(
+        path for path in (data_dir.absolute(), *data_dir.absolute().parents) if path.exists()
+    )
+    try:
+        with tempfile.TemporaryFile(dir=place) as file:
+            file.write(bytes(1 << 16))
+    except OSError as error:
+        return Finding(
+            "disk", "fault", f"{data_dir} cannot be written ({error.strerror or error}).",
+            "Free some space, or choose another MORPH_DATA_DIR.",
+        )  # fmt: skip
+    free = shutil.disk_usage(place).free
+    text = f"{format_size(free)} free for {data_dir}"
+    if free < LEAST_DISK:
+        return Finding("disk", "warning", text, "Free some: a result takes 24 MB.")
+    return Finding("disk", "ok", text)
+
+
+def check_database(settings: Settings) -> Finding:
+    """Whether the database answers, how soon, whether its clock agrees, and its connections.
+
+    Raises:
+        ConfigError: It does not answer.
+    """
+    import sqlalchemy as sa
+
+    from chamfer_morph.worker.dbos_adapter import check_reachable, database
+
+    if not settings.on_postgres and not (settings.data_dir / "morph.sqlite").exists():
+        return Finding("database", "ok", "SQLite, which `morph serve` will create")
+    check_reachable(settings)
+    engine = database(settings)
+    try:
+        with engine.connect() as connection:
+            began = time.perf_counter()
+            connection.execute(sa.text("select 1"))
+            answer = f"answers in {1000 * (time.perf_counter() - began):.1f} ms"
+            if not settings.on_postgres:
+                return Finding("database", "ok", f"SQLite, {answer}")
+            query = "select extract(epoch from clock_timestamp()), current_setting(:name)"
+            row = connection.execute(sa.text(query), {"name": "max_connections"}).one()
+            ahead, connections = float(row[0]) - time.time(), int(row[1])
+    finally:
+        engine.dispose()
+    text = f"Postgres, {answer}, {connections} connections, clocks differ by {abs(ahead):.1f} s"
+    if abs(ahead) > LARGEST_CLOCK_DIFFERENCE:
+        return Finding("database", "warning", text, "Set the clocks of both machines by NTP.")
+    if settings.workers * CONNECTIONS_PER_PROCESS > connections:
+        return Finding("database", "warning", text, "Raise max_connections, or run fewer workers.")
+    return Finding("database", "ok", text)
+
+
+def check_object_store(settings: Settings) -> Finding:
+    """Whether the object store answers, and refuses to write what has changed.
+
+    Raises:
+        MorphError: It cannot be used.
+    """
+    from chamfer_morph.worker.object_store.bucket import Bucket, ObjectChangedError
+
+    bucket = Bucket.open(settings.object_store)
+    began = time.perf_counter()
+    key = f"probe/{os.urandom(8).hex()}"
+    etag = bucket.replace(key, b"1", None)
+    seconds = time.perf_counter() - began
+    try:
+        bucket.replace(key, b"2", etag)
+        bucket.replace(key, b"3", etag)
+    except ObjectChangedError:
+        return Finding("object store", "ok", f"writes in {1000 * seconds:.0f} ms")
+    finally:
+        bucket.delete([key])
+    return Finding(
+        "object store", "fault", "It ignores If-Match, so that two workers may overwrite one job.",
+        "Choose a store with conditional writes.",
+    )  # fmt: skip
+
+
+def check_morph() -> Finding:
+    """Whether a tiny morph can be computed here, and on which device."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "result.vtkhdf"
+        began = time.perf_counter()
+        outcome = subprocess.run(
+            [*python_command("chamfer_morph"), "run", "sphere", "torus", "--frames", "2",
+             "--points-per-cell-edge", "1", "--quiet", "--out", str(out)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+        if outcome.returncode or not out.is_file():
+            last = outcome.stderr.strip() or describe_exit(outcome.returncode)
+            return Finding("morph", "fault", last, "Report it with the lines above.")
+    return Finding("morph", "ok", f"two small frames in {seconds:.1f} s")

@@ -1,0 +1,75 @@
+"""`morph doctor`: what it finds on this machine, and on one that lacks something."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from chamfer_morph.cli import doctor
+
+
+def run_doctor(*options: str, **settings: str) -> tuple[int, dict[str, dict[str, str]]]:
+    """Exit status and findings by subject."""
+    outcome = subprocess.run(
+        [sys.executable, "-m", "chamfer_morph", "doctor", "--json", *options],
+        env=os.environ | settings, capture_output=True, text=True,
+    )  # fmt: skip
+    findings = json.loads(outcome.stdout)["findings"]
+    return outcome.returncode, {finding["subject"]: finding for finding in findings}
+
+
+def test_machine_that_has_everything(tmp_path: Path) -> None:
+    """Nothing is wrong, and nothing is left behind."""
+    status, findings = run_doctor(MORPH_DATA_DIR=str(tmp_path / "data"))
+    assert status == 0
+    assert [*findings] == ["software", "libraries", "memory", "disk", "database", "morph"]
+    assert {finding["verdict"] for finding in findings.values()} <= {"ok", "warning"}
+    assert "taichi 1." in findings["software"]["text"]
+    assert not (tmp_path / "data").exists()
+
+
+def test_database_that_is_there(database_url: str, tmp_path: Path) -> None:
+    """It answers."""
+    if not database_url:
+        (tmp_path / "morph.sqlite").touch()
+    settings = {"MORPH_DATA_DIR": str(tmp_path), "MORPH_DATABASE_URL": database_url}
+    status, findings = run_doctor("--no-compute", **settings)
+    assert status == 0
+    assert findings["database"]["verdict"] == "ok"
+    assert " ms" in findings["database"]["text"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "subject", "words"),
+    [
+        ({"MORPH_DATABASE_URL": "postgresql://a@127.0.0.1:9/b"}, "database", "cannot be used"),
+        ({"MORPH_DATABASE_URL": "mysql://a"}, "settings", "Postgres"),
+        ({"MORPH_DATA_DIR": "/proc/nowhere"}, "disk", "cannot be written"),
+        ({"MORPH_WORKRES": "2"}, "settings", "MORPH_WORKRES"),
+        ({"MORPH_OBJECT_STORE": "s3://b", "AWS_ENDPOINT_URL": "http://127.0.0.1:9",
+          "AWS_ACCESS_KEY_ID": "id", "AWS_SECRET_ACCESS_KEY": "secret"},
+         "object store", "does not answer"),
+    ],
+)  # fmt: skip
+def test_machine_that_lacks_something(
+    settings: dict[str, str], subject: str, words: str, tmp_path: Path
+) -> None:
+    """The fault and what to do about it are named, and the exit status says that there is one."""
+    status, findings = run_doctor("--no-compute", **{"MORPH_DATA_DIR": str(tmp_path)} | settings)
+    assert status == 1
+    assert findings[subject]["verdict"] == "fault"
+    assert words in findings[subject]["text"]
+    assert findings[subject]["remedy"]
+
+
+def test_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package that has it is named."""
+    monkeypatch.setitem(doctor.LIBRARIES, "libnowhere.so.1", "libnowhere1")
+    found = doctor.check_libraries()
+    assert found.verdict == "fault"
+    assert found.remedy == "apt-get install libnowhere1"

@@ -1,0 +1,137 @@
+"""Hosts that share a database and an object store, and no folder."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psycopg
+import pytest
+
+from chamfer_morph.schemas import JobState
+from tests.acceptance.conftest import FRAMES, Cluster
+from tests.object_store import BUCKET, Link, s3_server
+
+pytestmark = pytest.mark.faults
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
+    """Address of an S3 server."""
+    with s3_server(tmp_path_factory.mktemp("s3") / "log") as address:
+        yield address
+
+
+@pytest.fixture
+def new_host(
+    new_cluster: Callable[..., Cluster],
+    store: tuple[str, int],
+    postgres: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Callable[..., Cluster]]:
+    """Makes a host with a folder of its own; its link to the store may be another one."""
+    name = f"hosts_{tmp_path.name}".replace("-", "_").lower()
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        connection.execute(f'drop database if exists "{name}" with (force)')
+        connection.execute(f'create database "{name}"')
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "id")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
+    monkeypatch.setenv("AWS_REGION", "us-east-1")
+
+    def make(link: Link | None = None, **settings: str) -> Cluster:
+        host, port = ("127.0.0.1", link.port) if link else store
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        url = f"{postgres.rpartition('/')[0]}/{name}"
+        address = f"s3://{BUCKET}/{tmp_path.name}"
+        return new_cluster(url, object_store=address, **settings)
+
+    yield make
+    with psycopg.connect(postgres, autocommit=True) as connection:
+        connection.execute(f'drop database "{name}" with (force)')
+
+
+@pytest.fixture
+def link(store: tuple[str, int]) -> Iterator[Link]:
+    """A link to the store that can be cut."""
+    link = Link(store)
+    yield link
+    link.close()
+
+
+def test_job_of_a_lost_host(
+    new_host: Callable[..., Cluster], undisturbed: np.ndarray, tmp_path: Path
+) -> None:
+    """Another host goes on with it from what was published, and the result is the same."""
+    first, second, reader = new_host(), new_host(), new_host()
+    worker = first.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, FRAMES // 3)
+    first.engine(worker).kill()
+    worker.kill()
+    second.start("janitor")
+    second.worker(1)
+    reader.require_sound(job, undisturbed, kills=3)
+    resumed = [
+        event.data["resumed_frames"]
+        for event in reader.storage.events(job).read()
+        if event.type == "attempt"
+    ]
+    assert len(resumed) == 2 and resumed[1] >= FRAMES // 3
+    assert not [*tmp_path.glob("data1/*slot1/jobs/*")], "what is published stays on no worker"
+
+
+@pytest.mark.parametrize("seconds", [1.0, 20.0])
+def test_link_that_is_cut(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray, seconds: float
+) -> None:
+    """The engine goes on while the store is away; all is there once it is back."""
+    reader, host = new_host(), new_host(link)
+    host.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    link.cut()
+    time.sleep(seconds)
+    assert reader.job(job).state is JobState.RUNNING
+    link.mend()
+    reader.require_sound(job, undisturbed, kills=0)
+
+
+def test_link_that_stays_cut(new_host: Callable[..., Cluster], link: Link) -> None:
+    """A job whose files nobody can have fails, and says why; resumed, it ends where it was."""
+    reader, host = new_host(), new_host(link, object_store_seconds="1")
+    host.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    link.cut()
+    record = reader.wait_for_state(job, JobState.FAILED)
+    assert record.problem is not None
+    assert record.problem.kind == "resources"
+    assert "object store does not answer" in record.problem.cause
+    link.mend()
+    reader.queue.resume(job)
+    reader.wait_for_state(job, JobState.SUCCEEDED)
+    assert sorted(reader.frames(job)) == [*range(FRAMES)]
+
+
+def test_two_workers_that_believe_to_own_a_job(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
+) -> None:
+    """A worker that was cut off publishes nothing over what its successor has published."""
+    reader, cut_off, successor = new_host(), new_host(link), new_host()
+    worker = cut_off.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    link.cut()
+    worker.send_signal(signal.SIGSTOP)  # it is still there, and knows nothing
+    reader.queue.cancel(job)
+    reader.wait_for_state(job, JobState.CANCELLED)
+    reader.queue.retry(job)
+    successor.worker(1)
+    reader.wait_for_frame(job, FRAMES // 2)
+    link.mend()
+    worker.send_signal(signal.SIGCONT)
+    reader.require_sound(job, undisturbed, kills=0)

@@ -1,0 +1,97 @@
+"""A real S3 server, and a link to it that can be cut."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import httpx
+
+BUCKET = "morph"
+
+
+@contextmanager
+def s3_server(log: Path) -> Iterator[tuple[str, int]]:
+    """Address of an S3 server of our own, with a bucket."""
+    with log.open("wb") as output:
+        server = subprocess.Popen(
+            [sys.executable, "-u", "-m", "moto.server", "-H", "127.0.0.1", "-p", "0"],
+            stdout=output, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    try:
+        while not (found := re.search(r"http://127\.0\.0\.1:(\d+)", log.read_text())):
+            assert server.poll() is None, log.read_text()
+        address = "127.0.0.1", int(found[1])
+        httpx.put(f"http://{address[0]}:{address[1]}/{BUCKET}", timeout=60).raise_for_status()
+        yield address
+    finally:
+        server.kill()
+        server.wait()
+
+
+class Link:
+    """A link of TCP connections to an address, which can be cut and mended.
+
+    Args:
+        target: Host and port.
+
+    Attributes:
+        port: Of 127.0.0.1, where it begins.
+    """
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self._target = target
+        self._whole = threading.Event()
+        self._whole.set()
+        self._sockets: set[socket.socket] = set()
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        """Break every connection; new ones are accepted and get no answer."""
+        self._whole.clear()
+        for end in [*self._sockets]:
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def mend(self) -> None:
+        """Let connections through again."""
+        self._whole.set()
+
+    def close(self) -> None:
+        """Accept no more connections."""
+        self._listener.close()
+        self.cut()
+
+    def _accept(self) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                near, _ = self._listener.accept()
+                threading.Thread(target=self._join, args=(near,), daemon=True).start()
+
+    def _join(self, near: socket.socket) -> None:
+        self._whole.wait()
+        far = socket.create_connection(self._target)
+        self._sockets |= {near, far}
+        back = threading.Thread(target=self._copy, args=(far, near), daemon=True)
+        back.start()
+        self._copy(near, far)
+        back.join()
+        self._sockets -= {near, far}
+        near.close()
+        far.close()
+
+    def _copy(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
