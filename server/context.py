@@ -14,13 +14,16 @@ from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.database import tables
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.meshes import MeshStore
+from chamfer_morph.server.database.reservations import Reservations
 from chamfer_morph.server.database.sweeps import SweepStore
 from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
+from chamfer_morph.server.turns import Turns
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
+from chamfer_morph.worker.sandbox.budget import Budget
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import WorkerSlots
@@ -29,18 +32,12 @@ from chamfer_morph.worker.storage import Storage, open_storage
 Result = TypeVar("Result")
 
 INSPECTIONS = 2
-PREVIEWS = 1
-"""Meshes parsed, and shapes filled for a preview, at the same time; each may take the memory of
-`inspect_memory_bytes`."""
+"""Meshes of a key that are parsed at the same time: both shapes of a job."""
 
 PREVIEW_CACHE_BYTES = 64 << 20
 
 COMPUTATIONS = 1
 """Fields, thumbnails, meshes and the like computed at the same time, in this process."""
-
-FILES = 1
-"""Surfaces, results and exports each made at the same time, which may take the memory of
-`export_memory_bytes`."""
 
 
 class ServerContext:
@@ -65,23 +62,28 @@ class ServerContext:
         self.sweeps: SweepStore = SweepStore(self.engine)
         self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
         self.quotas: Quotas = Quotas(
-            settings, self.storage, self.queue, self.meshes, self.job_sizes
+            settings, self.queue, self.meshes, self.job_sizes, Reservations(self.engine)
         )
         self.event_hub: EventHub = EventHub(
             self.queue, self.storage, settings.watchers, settings.watchers_per_key
         )
-        self.sandbox: Sandbox = Sandbox(settings, self.storage)
-        self.inspections: SingleFlight[dict[str, Any]] = SingleFlight(CapacityLimiter(INSPECTIONS))
+        budget = Budget.of(settings)
+        self.sandbox: Sandbox = Sandbox(settings, self.storage, budget)
+        turns = Turns(budget)
+        reading, writing = self.sandbox.reading_bytes, self.sandbox.writing_bytes
+        self.inspections: SingleFlight[dict[str, Any]] = SingleFlight(
+            turns.kind(reading, at_once=INSPECTIONS)
+        )
         self.previews: SingleFlight[SampledShape] = SingleFlight(
-            CapacityLimiter(PREVIEWS),
+            turns.kind(reading),
             cache_bytes=PREVIEW_CACHE_BYTES,
             size_of=lambda shape: shape.positions.nbytes,
         )
-        self.surfaces: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
-        self.partial_results: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
-        self.exports: SingleFlight[None] = SingleFlight(CapacityLimiter(FILES))
+        self.surfaces: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
+        self.partial_results: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
+        self.exports: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
         self._compute_limiter = CapacityLimiter(COMPUTATIONS)
-        self.thumbnails: SingleFlight[bytes] = SingleFlight(self._compute_limiter)
+        self.thumbnails: SingleFlight[bytes] = SingleFlight(lambda owner: self._compute_limiter)
 
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
         """Call a function that takes a while in a thread, when its turn has come."""

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from chamfer_morph.server.database.meshes import MeshStore
+from chamfer_morph.server.database.reservations import Reservations
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
 
 DISK_SECONDS = 30.0
 """How long a measured use of disk is believed."""
@@ -58,27 +58,25 @@ class Incoming:
 class Quotas:
     """The quotas of each key. Calls block.
 
-    What is let in counts at once, however many requests come at the same time. That takes one API
-    process, as there is.
+    What is let in counts at once, however many requests come at the same time to however many API
+    processes. Bytes on their way in are counted within each of these.
     """
 
     def __init__(
         self,
         settings: Settings,
-        storage: Storage,
         queue: JobQueue,
         meshes: MeshStore,
         sizes: JobSizes,
+        reservations: Reservations,
     ) -> None:
         self._settings = settings
-        self._storage = storage
         self._queue = queue
         self._meshes = meshes
         self._sizes = sizes
         self._disk: dict[str, tuple[float, int]] = {}
         self._lock = threading.Lock()
-        self._jobs_let_in: Counter[str] = Counter()
-        self._meshes_let_in: Counter[str] = Counter()
+        self._reservations = reservations
         self._bytes_let_in: Counter[str] = Counter()
 
     @contextmanager
@@ -93,25 +91,13 @@ class Quotas:
         """
         self.check_disk(owner)
         limit = self._settings.queued_jobs_per_key
-        with self._lock:
-            unfinished = self._queue.unfinished(owner) + self._jobs_let_in[owner]
-            if unfinished + adding > limit:
-                cause = f"This key has {unfinished} unfinished jobs, and may have {limit}."
+        with self._reservations.reserving(
+            "jobs", owner, adding, limit, lambda: self._queue.unfinished(owner)
+        ) as reserved:
+            if reserved.refused:
+                cause = f"This key has {reserved.there} unfinished jobs, and may have {limit}."
                 raise _refusal(429, cause, "Wait for some to finish, or cancel them.")
-            self._jobs_let_in[owner] += adding
-        left = adding
-
-        def queued() -> None:
-            nonlocal left
-            left -= 1
-            with self._lock:
-                self._jobs_let_in[owner] -= 1
-
-        try:
-            yield queued
-        finally:
-            with self._lock:
-                self._jobs_let_in[owner] -= left
+            yield reserved.release_one
 
     @contextmanager
     def letting_in_meshes(self, owner: str, adding: int = 1) -> Iterator[Incoming]:
@@ -125,19 +111,34 @@ class Quotas:
         self.check_disk(owner)
         room = self._settings.disk_bytes_per_key - self.used_bytes(owner)
         limit = self._settings.meshes_per_key
-        with self._lock:
-            count = self._meshes.totals(owner)[0] + self._meshes_let_in[owner]
-            if count + adding > limit:
-                cause = f"This key keeps {count} meshes, and may keep {limit}."
+        with self._reservations.reserving(
+            "meshes", owner, adding, limit, lambda: self._meshes.totals(owner)[0]
+        ) as reserved:
+            if reserved.refused:
+                cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
                 raise _refusal(429, cause, "Delete those that are not needed any more.")
-            self._meshes_let_in[owner] += adding
-        incoming = Incoming(self, owner, room)
-        try:
-            yield incoming
-        finally:
-            incoming.close()
-            with self._lock:
-                self._meshes_let_in[owner] -= adding
+            incoming = Incoming(self, owner, room)
+            try:
+                yield incoming
+            finally:
+                incoming.close()
+
+    @contextmanager
+    def storing_mesh(self, owner: str, size_bytes: int) -> Iterator[None]:
+        """Refuse a file that fills more than the disk that a key may fill, with all its others.
+
+        Raises:
+            ProblemError: 413.
+        """
+        self.invalidate(owner)
+        others = self.used_bytes(owner) - self._meshes.totals(owner)[1]
+        limit = self._settings.disk_bytes_per_key
+        with self._reservations.reserving(
+            "bytes", owner, size_bytes, limit, lambda: self._meshes.totals(owner)[1] + others
+        ) as reserved:
+            if reserved.refused:
+                raise _disk_is_full(reserved.there, limit)
+            yield
 
     def arrived(self, owner: str, count: int) -> int:
         """Count what has come in [bytes]; the answer is what all uploads on their way have."""
@@ -153,9 +154,7 @@ class Quotas:
         """
         used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
-            gigabytes, most = f"{used / 1e9:.1f} GB", f"{limit / 1e9:.1f} GB"
-            cause = f"The meshes and jobs of this key fill {gigabytes}, and may fill {most}."
-            raise _refusal(413, cause, "Delete jobs or meshes that are not needed any more.")
+            raise _disk_is_full(used, limit)
 
     def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].
@@ -188,6 +187,12 @@ class Quotas:
         """A job has been deleted, or goes on."""
         self._sizes.forget(job)
         self.invalidate(owner)
+
+
+def _disk_is_full(used: int, limit: int) -> ProblemError:
+    gigabytes, most = f"{used / 1e9:.1f} GB", f"{limit / 1e9:.1f} GB"
+    cause = f"The meshes and jobs of this key fill {gigabytes}, and may fill {most}."
+    return _refusal(413, cause, "Delete jobs or meshes that are not needed any more.")
 
 
 def _refusal(status: int, cause: str, remedy: str) -> ProblemError:

@@ -1,4 +1,4 @@
-"""What is computed on request: each thing once, however many ask for it, and few at a time."""
+"""What is computed on request: each thing once, however many ask for it, when its turn has come."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import anyio
 from starlette.requests import Request
 
 from chamfer_morph.server.http.problems import ProblemError, unavailable
+from chamfer_morph.server.turns import Turn
 from chamfer_morph.worker.sandbox.runner import Computation
 
 Result = TypeVar("Result")
@@ -58,19 +59,19 @@ class SingleFlight(Generic[Result]):
     stroke.
 
     Args:
-        turns: How many there are at the same time.
+        turn: Waits until one may begin, on the account of the key of a name.
         cache_bytes: How much of the last results is remembered [bytes].
         size_of: The size of a result [bytes].
     """
 
     def __init__(
         self,
-        turns: anyio.CapacityLimiter,
+        turn: Turn,
         *,
         cache_bytes: int = 0,
         size_of: Callable[[Result], int] = lambda result: 1,
     ) -> None:
-        self._turns = turns
+        self._turn = turn
         self._threads = anyio.CapacityLimiter(math.inf)
         self._flights: dict[Key, Flight[Result]] = {}
         self._cache: OrderedDict[Key, Result] = OrderedDict()
@@ -78,7 +79,7 @@ class SingleFlight(Generic[Result]):
         self._size_of = size_of
         self._closing = False
 
-    async def get(self, key: Key, compute: Compute[Result], request: Request) -> Result:
+    async def get(self, key: Key, compute: Compute[Result], request: Request, owner: str) -> Result:
         """Wait for a result.
 
         What nobody waits for any more when its turn comes is not computed.
@@ -87,6 +88,7 @@ class SingleFlight(Generic[Result]):
             key: What it follows from.
             compute: Computes it.
             request: Who waits for it.
+            owner: Name of the key on whose account it is, if it is not under way.
 
         Raises:
             ProblemError: 503, the service stops; 404, it was cancelled.
@@ -95,7 +97,7 @@ class SingleFlight(Generic[Result]):
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        flight = self._flights.get(key) or self._start(key, compute, Flight("", []))
+        flight = self._flights.get(key) or self._start(key, compute, Flight(owner, []))
         assert flight.task is not None and flight.requests is not None
         flight.requests.append(request)
         return await asyncio.shield(flight.task)
@@ -140,7 +142,7 @@ class SingleFlight(Generic[Result]):
 
     async def _run(self, key: Key, compute: Compute[Result], flight: Flight[Result]) -> Result:
         try:
-            async with self._turns:
+            async with self._turn(flight.owner):
                 if not await flight.is_wanted():
                     raise ProblemError(503, "Nobody has waited for it.", "Ask for it again.")
                 if flight.cancelled:

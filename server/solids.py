@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +14,8 @@ from chamfer_morph.server.http.problems import ProblemError
 from morph_engine.errors import MeshError
 from morph_engine.geometry import shapes
 from morph_engine.geometry.placement import Solid
+
+_one_at_a_time = threading.Lock()
 
 
 def find_solid(
@@ -46,6 +49,11 @@ def find_solid(
     return Solid(report["volume"], np.array(report["bounds"], np.float64)), row.name
 
 
-@lru_cache(maxsize=1000)
 def _built_in(name: str) -> Solid:
+    with _one_at_a_time:  # the first loads libraries, which do not bear to be used meanwhile
+        return _make(name)
+
+
+@lru_cache(maxsize=1000)
+def _make(name: str) -> Solid:
     return Solid.of(shapes.make(name))

@@ -98,6 +98,15 @@ class Settings(BaseSettings):
     export_cpu_seconds: int = Field(
         3600, gt=0, description="CPU time to make a surface or an export [s]."
     )
+    sandbox_processes: int = Field(
+        6, ge=1, description="Meshes, surfaces, results and exports computed at the same time."
+    )
+    sandbox_memory_bytes: int = Field(
+        0,
+        ge=0,
+        description="Memory that all of these may take together, over all API processes of a "
+        "machine; 0: what it has [bytes].",
+    )
     meshes_per_key: int = Field(1000, gt=0, description="Meshes that a key may keep.")
     queued_jobs_per_key: int = Field(1000, gt=0, description="Unfinished jobs that a key may have.")
     disk_bytes_per_key: int = Field(

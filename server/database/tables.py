@@ -1,4 +1,4 @@
-"""The service's own tables, in the database of the queue: keys, meshes, sweeps.
+"""The service's own tables, in the database of the queue: keys, meshes, sweeps, quotas.
 
 The state of jobs is the queue's affair and stands nowhere else.
 """
@@ -55,6 +55,18 @@ class SweepRow(Row):
     name: Mapped[str] = mapped_column(sa.String(255))
     body: Mapped[str] = mapped_column(sa.String(64))
     created_at: Mapped[int] = mapped_column(sa.BigInteger)
+
+
+class ReservationRow(Row):
+    """What a key is about to add, of which kind, and when that is forgotten [microseconds]."""
+
+    __tablename__ = "morph_reservations"
+
+    id: Mapped[str] = mapped_column(sa.String(32), primary_key=True)
+    kind: Mapped[str] = mapped_column(sa.String(16))
+    owner: Mapped[str] = mapped_column(sa.String(64))
+    count: Mapped[int] = mapped_column(sa.BigInteger)
+    expires_at: Mapped[int] = mapped_column(sa.BigInteger)
 
 
 def create(engine: sa.Engine) -> None:

@@ -104,7 +104,7 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
     path = context.storage.result_path(job.id)
     if job.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
         compute = partial(context.sandbox.write_partial_result, job.id)
-        await context.partial_results.get((job.id,), compute, request)
+        await context.partial_results.get((job.id,), compute, request, job.owner)
     if not job.state.finished or not path.is_file():
         raise ProblemError(
             409,

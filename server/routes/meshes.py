@@ -201,7 +201,7 @@ async def store_uploads(
         report = None
         if context.storage.mesh_file(upload.sha256) is None:
             inspect = partial(context.sandbox.inspect_mesh, upload.path, upload.name)
-            report = await context.inspections.get((upload.path,), inspect, request)
+            report = await context.inspections.get((upload.path,), inspect, request, caller.name)
         reports.append(report)
     return [
         await anyio.to_thread.run_sync(_store, upload, report, caller, context)
@@ -258,10 +258,12 @@ def _to_mesh_or_none(row: MeshRow, context: ServerContext) -> Mesh | None:
 def _store(
     upload: Upload, report: dict[str, Any] | None, caller: Caller, context: ServerContext
 ) -> tuple[MeshRow, bool]:
-    if report is not None:
-        suffix = mesh_suffix(upload.name)
-        context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
-    new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
+    known = context.meshes.get(caller.name, upload.sha256) is not None
+    with context.quotas.storing_mesh(caller.name, 0 if known else upload.size_bytes):
+        if report is not None:
+            suffix = mesh_suffix(upload.name)
+            context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
+        new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
     row = context.meshes.get(caller.name, upload.sha256)
     if row is None:
         raise ProblemError(409, "The mesh has been deleted meanwhile.", "Upload it again.")

@@ -111,7 +111,7 @@ async def _particles(
     per_edge, fit = sampling.points_per_cell_edge, sampling.fit
     compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit, other)
     key = (shape, per_edge, fit, sampling.source, sampling.target)
-    sample = await context.previews.get(key, compute, request)
+    sample = await context.previews.get(key, compute, request, caller.name)
     headers = {
         "Morph-Count": str(len(sample.positions)),
         "Morph-Warnings": json.dumps(warnings),

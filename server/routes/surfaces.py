@@ -64,7 +64,7 @@ async def get_surface(
     if not await anyio.Path(path).exists():
         compute = partial(context.sandbox.reconstruct_surface, job.id, frame.index)
         await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
-        await context.surfaces.get((job.id, frame.index), compute, request)
+        await context.surfaces.get((job.id, frame.index), compute, request, job.owner)
         await anyio.to_thread.run_sync(context.quotas.job_changed, job.id, job.owner)
     try:
         stat = await anyio.Path(path).stat()

@@ -39,7 +39,7 @@ async def get_thumbnail(job: VisibleJob, request: Request, context: Context) -> 
         body = await anyio.Path(path).read_bytes()
     except FileNotFoundError:
         body = await context.thumbnails.get(
-            (job.id, path.name), lambda _: _draw(path, job, context), request
+            (job.id, path.name), lambda _: _draw(path, job, context), request, job.owner
         )
     return bytes_response(request, body, WEBP)
 

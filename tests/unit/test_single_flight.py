@@ -32,7 +32,7 @@ def running(test: Callable[[SingleFlight[Any]], Coroutine[Any, Any, None]]) -> N
 
     async def main() -> None:
         turns = anyio.CapacityLimiter(1)
-        await test(SingleFlight(turns, cache_bytes=10, size_of=len))
+        await test(SingleFlight(lambda owner: turns, cache_bytes=10, size_of=len))
 
     asyncio.run(main())
 
@@ -46,11 +46,11 @@ def test_once_for_all_who_ask() -> None:
         return "result"
 
     async def test(runner: SingleFlight[str]) -> None:
-        asked = [runner.get(("a", 1), compute, Waiting()) for _ in range(3)]
+        asked = [runner.get(("a", 1), compute, Waiting(), "") for _ in range(3)]
         assert await asyncio.gather(*asked) == ["result"] * 3 and len(calls) == 1
-        assert await runner.get(("a", 1), compute, Waiting()) == "result" and len(calls) == 1
-        await runner.get(("a", 2), compute, Waiting())  # more than it remembers
-        await runner.get(("a", 1), compute, Waiting())
+        assert await runner.get(("a", 1), compute, Waiting(), "") == "result" and len(calls) == 1
+        await runner.get(("a", 2), compute, Waiting(), "")  # more than it remembers
+        await runner.get(("a", 1), compute, Waiting(), "")
         assert len(calls) == 3
 
     running(test)
@@ -68,11 +68,11 @@ def test_what_nobody_waits_for_is_not_computed() -> None:
         return ""
 
     async def test(runner: SingleFlight[str]) -> None:
-        first = asyncio.create_task(runner.get(("a",), hold, held))
+        first = asyncio.create_task(runner.get(("a",), hold, held, ""))
         await asyncio.to_thread(begun.wait, 10)
         waiting = [
             asyncio.create_task(
-                runner.get((name,), lambda _, name=name: computed.append(name) or name, request)
+                runner.get((name,), lambda _, name=name: computed.append(name) or name, request, "")
             )
             for name, request in (("b", left), ("c", left), ("c", shared))
         ]
@@ -97,8 +97,8 @@ def test_cancelled_work_is_killed() -> None:
         return "ended"
 
     async def test(runner: SingleFlight[str]) -> None:
-        asked = asyncio.create_task(runner.get(("job", 1), sleep, Waiting()))
-        queued = asyncio.create_task(runner.get(("other", 1), lambda _: "other", Waiting()))
+        asked = asyncio.create_task(runner.get(("job", 1), sleep, Waiting(), ""))
+        queued = asyncio.create_task(runner.get(("other", 1), lambda _: "other", Waiting(), ""))
         while (flight := runner.find(("job", 1))) is None or not flight.progress:
             await asyncio.sleep(0.01)
         runner.cancel("job")
@@ -108,7 +108,7 @@ def test_cancelled_work_is_killed() -> None:
         assert caught.value.status_code == 404 and await queued == "other"
         runner.close()
         with pytest.raises(ProblemError) as caught:
-            await runner.get(("job", 2), sleep, Waiting())
+            await runner.get(("job", 2), sleep, Waiting(), "")
         assert caught.value.status_code == 503
 
     running(test)
@@ -139,7 +139,7 @@ def test_failures_of_what_nobody_waits_for_are_kept(monkeypatch: pytest.MonkeyPa
         runner.cancel(2)
         assert runner.find((2,)) is None
         with pytest.raises(ValueError, match="no"):
-            await runner.get((9,), fail, Waiting())
+            await runner.get((9,), fail, Waiting(), "")
         assert runner.find((9,)) is None
 
     running(test)

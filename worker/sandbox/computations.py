@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from chamfer_morph.schemas import Fit
 from chamfer_morph.worker.sandbox import runner
+from chamfer_morph.worker.sandbox.budget import Budget
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions
 from chamfer_morph.worker.sandbox.runner import (
     MAX_THREADS,
@@ -64,11 +65,18 @@ class OtherEnd(NamedTuple):
 
 
 class Sandbox:
-    """Children with the memory and CPU time that the settings allow. Calls block."""
+    """Children with the memory and CPU time that the settings allow. Calls block.
 
-    def __init__(self, settings: Settings, storage: Storage) -> None:
+    Attributes:
+        reading_bytes: Memory of a child that reads a mesh [bytes].
+        writing_bytes: Memory of a child that writes a file of frames [bytes].
+    """
+
+    def __init__(self, settings: Settings, storage: Storage, budget: Budget) -> None:
         self._settings = settings
         self._storage = storage
+        self.reading_bytes: int = min(settings.inspect_memory_bytes, budget.largest_bytes)
+        self.writing_bytes: int = min(settings.export_memory_bytes, budget.largest_bytes)
 
     def inspect_mesh(self, path: Path, name: str, computation: Computation) -> dict[str, Any]:
         """The ingest report of a mesh file that can be used, as it is or scaled to the domain.
@@ -172,12 +180,12 @@ class Sandbox:
             raise
 
     def _limits(self, file_bytes: int | None = None, threads: int = 1) -> Limits:
-        memory, seconds = self._settings.export_memory_bytes, self._settings.export_cpu_seconds
+        memory, seconds = self.writing_bytes, self._settings.export_cpu_seconds
         return Limits(memory, seconds, memory if file_bytes is None else file_bytes, threads)
 
     def _read_mesh(self, task: str, arguments: dict[str, Any], computation: Computation) -> Answer:
         """What a task answers that reads a mesh; errors call its file what the user calls it."""
-        limits = Limits(self._settings.inspect_memory_bytes, self._settings.inspect_cpu_seconds)
+        limits = Limits(self.reading_bytes, self._settings.inspect_cpu_seconds)
         name, path = arguments["name"], arguments["path"]
         wording = Wording(name, "read", DECIMATE)
         try:

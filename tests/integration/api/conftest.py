@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 import uuid
@@ -13,6 +16,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+import psutil
 import pytest
 
 from chamfer_morph.server.api_server import ApiServer
@@ -125,6 +129,55 @@ def api(make_api: Callable[..., Api]) -> Api:
 def either(make_api: Callable[..., Api], database_url: str) -> Api:
     """An API on SQLite, and one on Postgres."""
     return make_api(database_url=database_url)
+
+
+@dataclass
+class ApiProcess:
+    """An API in a process of its own.
+
+    Attributes:
+        http: A client of it.
+        process: The process.
+    """
+
+    http: httpx.Client
+    process: psutil.Process
+
+    def children(self) -> list[psutil.Process]:
+        """What it has computed at the moment in processes of their own."""
+        return self.process.children(recursive=True)
+
+
+@pytest.fixture
+def start_apis() -> Iterator[Callable[..., list[ApiProcess]]]:
+    """Starts some API processes on one data directory and database."""
+    with ExitStack() as stack:
+
+        def start(settings: Settings, count: int = 2) -> list[ApiProcess]:
+            own = {name: value for name, value in os.environ.items() if name[:6] != "MORPH_"}
+            values = settings.model_dump(mode="json", exclude_defaults=True).items()
+            variables = {f"MORPH_{name.upper()}": str(value) for name, value in values}
+            return [
+                stack.enter_context(api_process(settings, own | variables)) for _ in range(count)
+            ]
+
+        yield start
+
+
+@contextmanager
+def api_process(settings: Settings, environment: dict[str, str]) -> Iterator[ApiProcess]:
+    """An API in a process of its own, until the end of the context."""
+    with listen(settings) as listener:
+        descriptor = listener.fileno()
+        command = [sys.executable, "-m", "chamfer_morph.server", "api", "--fd", str(descriptor)]
+        with subprocess.Popen(command, env=environment, pass_fds=[descriptor]) as process:
+            limits = httpx.Limits(max_connections=None)
+            with httpx.Client(
+                base_url=address(settings, listener), timeout=600, limits=limits
+            ) as http:
+                assert http.get("/readyz").status_code == 200
+                yield ApiProcess(http, psutil.Process(process.pid))
+            process.terminate()
 
 
 @pytest.fixture

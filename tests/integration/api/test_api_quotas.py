@@ -8,10 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
+import sqlalchemy as sa
 
+from chamfer_morph.server.database.tables import ReservationRow
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.janitor import delete_expired
+from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
-from tests.integration.api.conftest import COARSE, MORPH, Api
+from tests.integration.api.conftest import COARSE, MORPH, Api, ApiProcess
 
 
 def test_parallel_submits_stay_within_the_quota(
@@ -34,6 +38,49 @@ def test_parallel_submits_stay_within_the_quota(
         assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
     assert api.http.post("/v1/sweeps", json=sweep).status_code == 202
     assert api.http.post(f"/v1/jobs/{jobs[0]}/retry").status_code == 429
+
+
+def test_quotas_hold_over_processes(
+    start_apis: Callable[..., list[ApiProcess]], database_url: str, tmp_path: Path, cube: bytes
+) -> None:
+    """However many processes are asked at the same time; what is refused leaves no reservation."""
+    settings = Settings(
+        _env_file=None,
+        data_dir=tmp_path,
+        database_url=database_url,
+        port=0,
+        queued_jobs_per_key=23,
+        meshes_per_key=3,
+        disk_bytes_per_key=1_000_000,
+    )
+    apis = start_apis(settings)
+    body = MORPH | {"overrides": COARSE}
+
+    def submit(index: int) -> int:
+        return apis[index % 2].http.post("/v1/jobs", json=body).status_code
+
+    def upload(index: int) -> int:
+        http, content = apis[index % 2].http, cube + b"#" * index + b"\n"
+        return http.post("/v1/meshes", params={"name": "cube.obj"}, content=content).status_code
+
+    with ThreadPoolExecutor(40) as pool:
+        answers = [*pool.map(submit, range(200))]
+        assert set(answers) == {202, 429} and answers.count(202) <= 23
+        while submit(0) == 202:
+            pass
+        assert len(apis[1].http.get("/v1/jobs", params={"limit": 100}).json()["items"]) == 23
+        large = [*pool.map(upload, [600_000, 600_001])]
+        assert large.count(201) <= 1 and set(large) <= {201, 413}
+        answers = [*pool.map(upload, range(12))]
+    assert set(answers) == {201, 429} and answers.count(201) <= 3
+    index = 12
+    while upload(index) == 201:
+        index += 1
+    assert len(apis[0].http.get("/v1/meshes").json()["items"]) == 3
+    engine = database(settings)
+    with engine.connect() as connection:
+        assert connection.execute(sa.select(sa.func.count(ReservationRow.id))).scalar_one() == 0
+    engine.dispose()
 
 
 def test_parallel_uploads_stay_within_the_quota(make_api: Callable[..., Api], cube: bytes) -> None:
