@@ -17,6 +17,7 @@ from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.reservations import Reservations
 from chamfer_morph.server.database.sweeps import SweepStore
 from chamfer_morph.server.event_hub import EventHub
+from chamfer_morph.server.failure_counts import FailureCounts
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.server.turns import Turns
@@ -64,6 +65,7 @@ class ServerContext:
         self.quotas: Quotas = Quotas(
             settings, self.queue, self.meshes, self.job_sizes, Reservations(self.engine)
         )
+        self.failures: FailureCounts = FailureCounts(self.queue)
         self.event_hub: EventHub = EventHub(
             self.queue, self.storage, settings.watchers, settings.watchers_per_key
         )

@@ -17,6 +17,7 @@ from morph_engine.errors import MorphError
 
 POLL_SECONDS = 0.05
 LOCK_CHECK_SECONDS = 4.0
+NEWS_SECONDS = 0.5
 ADOPTION_LIMIT_SECONDS = 60
 LOCK_TIMEOUT_SECONDS = 10.0
 """A worker that comes back waits so long for a janitor that adopts its jobs under its name."""
@@ -72,6 +73,7 @@ def adopt(settings: Settings, executor: str) -> None:
     queue = JobQueue(settings)
     while executor in queue.running():
         time.sleep(POLL_SECONDS)
+    queue.wake_workers()
     os._exit(0)
 
 
@@ -96,10 +98,11 @@ def run_slot(settings: Settings, executor: str) -> None:
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
     spare = SpareEngine(settings)
-    if not paused:
-        launch(settings, executor, spare)
+    look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
-    while not ended.wait(0.5):
+    while not ended.is_set():
+        if lock.wait_for_news(ended, NEWS_SECONDS) and look_for_a_job:
+            look_for_a_job()
         if not paused:
             spare.keep()
         if time.monotonic() - last_check > LOCK_CHECK_SECONDS:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import logging
 import os
 import sqlite3
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from importlib import metadata
@@ -18,9 +19,11 @@ from typing import Any
 import psycopg
 import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
-from dbos._dbos import _get_or_create_dbos_registry
+from dbos import _dbos as dbos_main
+from dbos import _queue as dbos_queue
 from dbos._serialization import DefaultSerializer
 
+from chamfer_morph.worker.alarm import Alarm
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import ConfigError
@@ -39,7 +42,10 @@ COLUMNS = frozenset(
 )  # fmt: skip
 """What the queue uses of the table."""
 
-INTERNAL_QUEUE_SECONDS = 60.0
+OUTCOME_COLUMNS = frozenset({"workflow_uuid", "output", "error"})
+"""What it uses of the table of their outcomes."""
+
+REST_SECONDS = 30.0
 
 SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
 """How DBOS stores what is not stored in the portable format anyway."""
@@ -71,14 +77,16 @@ class WorkflowTable:
         Raises:
             RuntimeError: DBOS has changed it.
         """
-        try:
-            table: sa.Table = self._client._sys_db.tables.workflow_status
-            missing = COLUMNS - {column.name for column in table.columns}
-        except AttributeError as error:
-            raise _changed(str(error)) from error
-        if missing:
-            raise _changed(f"workflow_status has no {', '.join(sorted(missing))}")
-        return table
+        return self._table("workflow_status", COLUMNS)
+
+    @cached_property
+    def outcomes(self) -> sa.Table:
+        """The table of what they have returned or raised.
+
+        Raises:
+            RuntimeError: DBOS has changed it.
+        """
+        return self._table("workflow_output", OUTCOME_COLUMNS)
 
     def rows(self, query: Any, values: Mapping[str, Any] | None = None) -> Sequence[Any]:
         """The rows of a query; asked again if its connection turns out to have died in the pool."""
@@ -88,6 +96,12 @@ class WorkflowTable:
             if not error.connection_invalidated:
                 raise
             return self._rows_now(query, values)
+
+    def notify(self, channel: str) -> None:
+        """Tell those who listen; nobody does on SQLite."""
+        if self._reader.dialect.name == "postgresql":
+            with self._reader.connect() as connection:
+                connection.execute(sa.select(sa.func.pg_notify(channel, "")))
 
     def begin(self) -> AbstractContextManager[sa.Connection]:
         """A transaction that changes the table."""
@@ -110,6 +124,16 @@ class WorkflowTable:
     def close(self) -> None:
         """Give the connections back."""
         self._reader.dispose()
+
+    def _table(self, name: str, columns: frozenset[str]) -> sa.Table:
+        try:
+            table: sa.Table = getattr(self._client._sys_db.tables, name)
+            missing = columns - {column.name for column in table.columns}
+        except AttributeError as error:
+            raise _changed(str(error)) from error
+        if missing:
+            raise _changed(f"{name} has no {', '.join(sorted(missing))}")
+        return table
 
     @property
     def _engine(self) -> sa.Engine:
@@ -157,10 +181,46 @@ def database(settings: Settings, *, autocommit: bool = False, kept: int = CONNEC
     return engine
 
 
-def let_internal_queue_rest() -> None:
-    """Look seldom into DBOS's own queue, of which nothing is used here: it asks every second."""
-    queue = _get_or_create_dbos_registry().get_internal_queue()
-    queue._polling_interval_sec = INTERNAL_QUEUE_SECONDS
+def look_for_jobs_when_woken(name: str) -> Callable[[], None]:
+    """Let one queue be looked into when it is worth it, and all else seldom; before the launch.
+
+    DBOS asks every second which queues there are, and looks into one of its own, of which nothing
+    is used here. Its threads are never stopped but with the process.
+
+    Args:
+        name: Name of the queue.
+
+    Returns:
+        Looks into the queue now.
+    """
+    alarms: list[Alarm] = []
+    manage, look = dbos_queue.queue_thread, dbos_queue.queue_worker_thread
+
+    def manage_seldom(stop: threading.Event, dbos: DBOS) -> None:
+        manage(_Rest(), dbos)
+
+    def look_when_woken(stop: threading.Event, dbos: DBOS, queue: dbos_queue.Queue) -> None:
+        if queue.name != name:
+            return look(stop, dbos, queue)
+        alarm = Alarm(lambda: dbos._active_workflows_set.count_for_queue(name) > 0)
+        alarms.append(alarm)
+        look(alarm, dbos, queue)
+
+    dbos_main.queue_thread = manage_seldom  # type: ignore[assignment, attr-defined]
+    dbos_queue.queue_worker_thread = look_when_woken  # type: ignore[assignment]
+
+    def wake() -> None:
+        for alarm in alarms:
+            alarm.ring()
+
+    return wake
+
+
+class _Rest(threading.Event):
+    """In place of an event whose timeouts are the pauses of a thread: makes them long."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        return super().wait(None if timeout is None else max(timeout, REST_SECONDS))
 
 
 def check_reachable(settings: Settings) -> None:

@@ -3,17 +3,20 @@
 On SQLite the lock is a file lock, which the system frees when the process dies, however it dies. On
 Postgres it is an advisory lock on a connection of its own, which the server closes when the worker
 falls silent. Whoever gets the lock of a worker that still has jobs knows that the worker is gone.
+The same connection hears of new jobs.
 """
 
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 from typing import BinaryIO
 
 import psycopg
 import sqlalchemy as sa
 
+from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.settings import Settings
 from morph_engine.files import acquire
 
@@ -57,6 +60,11 @@ class FileLock:
         """True: the system takes it from no living process."""
         return True
 
+    def wait_for_news(self, ended: threading.Event, seconds: float) -> bool:
+        """Wait until told to end, or for so long [s]; False, for a file tells nothing."""
+        ended.wait(seconds)
+        return False
+
     def release(self) -> None:
         """Close the file."""
         self._file.close()
@@ -67,6 +75,7 @@ class AdvisoryLock:
 
     def __init__(self, connection: psycopg.Connection) -> None:
         self._connection = connection
+        self._listens = False
 
     @classmethod
     def take(cls, url: str, executor: str) -> AdvisoryLock | None:
@@ -92,6 +101,17 @@ class AdvisoryLock:
         except psycopg.Error:
             return False
         return True
+
+    def wait_for_news(self, ended: threading.Event, seconds: float) -> bool:
+        """Wait for a notification of a job, for so long [s]; True if one has come."""
+        try:
+            if not self._listens:
+                self._connection.execute(f"listen {CHANNEL}")
+                self._listens = True
+            return any(True for _ in self._connection.notifies(timeout=seconds, stop_after=1))
+        except psycopg.Error:  # `held` tells it
+            ended.wait(seconds)
+            return False
 
     def release(self) -> None:
         """Close the session."""

@@ -11,6 +11,7 @@ decide which of their jobs takes which of their places.
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -29,6 +30,7 @@ from dbos import (
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state, statuses
@@ -173,7 +175,15 @@ class JobQueue:
         except dbos_error.DBOSWorkflowIDInUseError:
             return False
         self._order_by_priority(owner, priority)
+        self.wake_workers()
         return True
+
+    def wake_workers(self) -> None:
+        """Tell idle workers that there may be a job; without, they look from time to time."""
+        try:
+            self._workflows.notify(CHANNEL)
+        except sa.exc.DBAPIError:  # what is queued is queued
+            log.warning("idle workers could not be told of a job", exc_info=True)
 
     def get(self, job_id: str) -> JobRecord | None:
         """A job, or None where there is none of that id, or its row cannot be read."""
@@ -285,6 +295,29 @@ class JobQueue:
         rows = self._rows(query.order_by(at, c.workflow_uuid).limit(limit))
         return [(job, "" if owner == NOBODY else owner, int(at)) for job, owner, at in rows]
 
+    def failed(self, after: tuple[int, str], limit: int) -> list[tuple[str, int, str]]:
+        """Failed and timed out jobs, the longest finished first: id, when, and kind of problem.
+
+        Arguments are those of `finished`.
+        """
+        c = self._table.c
+        at = c.completed_at
+        ended = sorted({*statuses(JobState.FAILED), *statuses(JobState.TIMED_OUT)})
+        outcomes = self._workflows.outcomes
+        found = self._table.outerjoin(outcomes, c.workflow_uuid == outcomes.c.workflow_uuid)
+        columns = self._select(c.workflow_uuid, at, c.status, outcomes.c.error).select_from(found)
+        query = columns.where(
+            (at > after[0]) | ((at == after[0]) & (c.workflow_uuid > after[1])),
+            at >= after[0],  # for the index
+            c.status.in_(ended),
+            (c.status != "CANCELLED") | self._late,
+        )
+        rows = self._rows(query.order_by(at, c.workflow_uuid).limit(limit))
+        return [
+            (job, int(at), "timeout" if status == "CANCELLED" else _kind_of(error))
+            for job, at, status, error in rows
+        ]
+
     def unmeasured(self, owner: str, after: int) -> list[str]:
         """Ids of an owner's jobs that are not finished, or have finished after a time [ms]."""
         c, mine = self._table.c, self._and_owned_by(owner)
@@ -372,6 +405,7 @@ class JobQueue:
             )
         except dbos_error.DBOSException as error:
             raise JobChangedError(str(error)) from error
+        self.wake_workers()
 
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
@@ -521,6 +555,13 @@ def _problem(state: JobState, error: Exception | None, spec: JobSpec) -> Problem
     return Problem(
         cause=cause, remedy="Retry it; if it fails again, read its log.", kind="internal"
     )
+
+
+def _kind_of(error: str | None) -> str:
+    """The kind of the problem in the column `error`, without reading all of the job."""
+    with suppress(TypeError, ValueError, LookupError):
+        return str(json.loads(error or "")["data"]["kind"])
+    return "internal"
 
 
 def _time(milliseconds: int | None) -> datetime | None:

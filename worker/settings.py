@@ -63,8 +63,8 @@ class Settings(BaseSettings):
     poll_seconds: float = Field(
         0,
         ge=0,
-        description="How often an idle worker looks for a job; 0: every 0.25 s on SQLite, and "
-        "every 2 s on Postgres, which many workers ask [s].",
+        description="How often an idle worker looks for a job that it is not told of; 0: every "
+        "0.25 s on SQLite, and every 10 s on Postgres, which tells workers [s].",
     )
     job_memory_bytes: int = Field(
         0,
@@ -129,7 +129,7 @@ class Settings(BaseSettings):
     @property
     def queue_poll_seconds(self) -> float:
         """How often an idle worker looks for a job [s]."""
-        return self.poll_seconds or (2.0 if self.on_postgres else 0.25)
+        return self.poll_seconds or (10.0 if self.on_postgres else 0.25)
 
     @property
     def on_postgres(self) -> bool:

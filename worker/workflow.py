@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from chamfer_morph.worker.dbos_adapter import (
     SERIALIZER,
     database,
     end_when_disk_is_full,
-    let_internal_queue_rest,
+    look_for_jobs_when_woken,
 )
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -46,7 +46,9 @@ _spare: SpareEngine
 _slots: WorkerSlots
 
 
-def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: bool = True) -> None:
+def launch(
+    settings: Settings, executor: str, spare: SpareEngine, *, listen: bool = True
+) -> Callable[[], None]:
     """Start working under the name of a slot; jobs it left behind are taken up again.
 
     Args:
@@ -54,6 +56,9 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
         executor: Name of the slot.
         spare: Where engine processes come from.
         listen: Whether to take new jobs.
+
+    Returns:
+        Makes it look for a job at once.
     """
     global _settings, _executor, _spare, _slots
     _settings, _executor, _spare = settings, executor, spare
@@ -73,10 +78,11 @@ def launch(settings: Settings, executor: str, spare: SpareEngine, *, listen: boo
         "max_executor_threads": 8,
     }
     DBOS(config=config)
-    let_internal_queue_rest()
+    look = look_for_jobs_when_woken(queue.QUEUE)
     logging.getLogger("dbos").addFilter(_is_unexpected)
     DBOS.listen_queues([queue.QUEUE] if listen else [])
     DBOS.launch()
+    return look
 
 
 @DBOS.workflow(

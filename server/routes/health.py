@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter as Counts
-from typing import Literal
+from typing import Literal, get_args
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
@@ -13,7 +13,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from chamfer_morph.schemas import WorkerStatus
+from chamfer_morph.schemas import Problem, WorkerStatus
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.problems import is_disk_full, unavailable
 from chamfer_morph.server.routes.workers import worker_statuses
@@ -21,6 +21,7 @@ from chamfer_morph.worker.storage import StoreUnavailableError
 
 router: APIRouter = APIRouter(tags=["health"])
 
+FAILURE_KINDS = get_args(Problem.model_fields["kind"].annotation)
 WORKER_STATES = ("busy", "idle", "paused", "dead")
 
 
@@ -52,6 +53,12 @@ class Metrics:
             "morph_requests_open", "Requests under way.", registry=self.registry
         )
         self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
+        self.failures: Counter = Counter(
+            "morph_job_failures",
+            "Jobs that have failed or timed out, by kind of problem.",
+            ("kind",),
+            registry=self.registry,
+        )
         self.workers: Gauge = Gauge(
             "morph_workers",
             "Worker slots: busy, idle, paused, or dead.",
@@ -149,6 +156,9 @@ def metrics(request: Request, context: Context) -> Response:
     metrics: Metrics = request.app.state.metrics
     for state, count in context.queue.counts().items():
         metrics.jobs.labels(state.value).set(count)
+    failures = context.failures.since_last_call()
+    for kind in {*FAILURE_KINDS, *failures}:
+        metrics.failures.labels(kind).inc(failures[kind])
     workers = Counts(map(_state, worker_statuses(context)))
     for name in WORKER_STATES:
         metrics.workers.labels(name).set(workers[name])

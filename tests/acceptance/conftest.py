@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 
-from chamfer_morph.schemas import BuiltInShape, JobState
+from chamfer_morph.schemas import BuiltInShape, JobState, Shape
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobQueue, JobRecord
@@ -27,6 +27,8 @@ from morph_engine.results.trajectory import Trajectory
 
 PATIENCE = 600.0
 """What a wait gives up after [s]: long, for both cores may have other work."""
+
+SPHERE = BuiltInShape(shape="sphere")
 
 FRAMES = 30
 """Frames of a small job; each takes about a tenth of a second."""
@@ -75,12 +77,13 @@ class Cluster:
         timeout: float = 300,
         priority: int = 100,
         precision: str = "float32",
+        source: Shape = SPHERE,
     ) -> str:
         """Queue a small job whose frames take a while."""
         settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "frames": frames}
         config = configure("fast", settings | {"precision": precision})
         spec = JobSpec(
-            source=BuiltInShape(shape="sphere"),
+            source=source,
             target=BuiltInShape(shape="star"),
             config=config,
             device="cpu",
@@ -197,9 +200,9 @@ def new_cluster(tmp_path: Path) -> Iterator[Callable[..., Cluster]]:
     """Makes an empty cluster on the database of a URL, with data in a folder."""
     made: list[Cluster] = []
 
-    def make(database_url: str, data_dir: Path | None = None, **settings: str) -> Cluster:
+    def make(database_url: str, data_dir: Path | None = None, **changes: str) -> Cluster:
         folder = data_dir or tmp_path / f"data{len(made)}"
-        made.append(make_cluster(folder, database_url, **settings))
+        made.append(make_cluster(folder, database_url, **changes))
         return made[-1]
 
     yield make
@@ -213,9 +216,11 @@ def cluster(new_cluster: Callable[..., Cluster], database_url: str) -> Cluster:
     return new_cluster(database_url)
 
 
-def make_cluster(data_dir: Path, database_url: str, **settings: str) -> Cluster:
-    """A cluster without processes, quick to notice things, without spare engines."""
-    values = settings | {
+def make_cluster(data_dir: Path, database_url: str, **changes: str) -> Cluster:
+    """A cluster without processes, quick to notice things, without spare engines, but for changes
+    of its settings.
+    """  # noqa: D205
+    values = {
         "data_dir": str(data_dir),
         "database_url": database_url,
         "poll_seconds": "0.1",
@@ -223,7 +228,7 @@ def make_cluster(data_dir: Path, database_url: str, **settings: str) -> Cluster:
         "adoption_seconds": "0.5",
         "threads": "1",
         "warm_engines": "false",
-    }
+    } | changes
     own = {name: value for name, value in os.environ.items() if not name.startswith("MORPH_")}
     variables = {f"MORPH_{name.upper()}": value for name, value in values.items()}
     return Cluster(Settings(_env_file=None, **values), own | variables)

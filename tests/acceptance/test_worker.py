@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+import time
 
 import pytest
 
-from chamfer_morph.schemas import JobState
+from chamfer_morph.schemas import JobState, MeshShape
+from chamfer_morph.server.failure_counts import FailureCounts
+from chamfer_morph.worker.alarm import SETTLING_PAUSE_SECONDS, SETTLING_SECONDS
 from chamfer_morph.worker.slots import executor_id
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
@@ -63,6 +66,54 @@ def test_the_stages_before_the_first_frame(cluster):
     events = cluster.storage.events(job).read()
     told = [event.data.get("stage", event.type) for event in events]
     assert told == ["attempt", "filling", "preparing", "computing", "frame"]
+
+
+def test_idle_workers_are_told(new_cluster, own_postgres):
+    """Of jobs that are submitted, retried or left by the dead; and one takes the next when it ends.
+
+    Without, they would look once in an hour.
+    """
+    cluster = new_cluster(own_postgres.url, poll_seconds="3600")
+    worker = cluster.worker()
+    first = cluster.submit()
+    cluster.wait_for_state(first, JobState.RUNNING)
+    next_one = cluster.submit()
+    time.sleep(SETTLING_SECONDS + 2 * SETTLING_PAUSE_SECONDS)
+    cluster.queue.cancel(first)
+    cluster.wait_for_state(next_one, JobState.RUNNING)
+    cluster.queue.cancel(next_one)
+    time.sleep(2)  # it is idle, and has looked
+    again = cluster.submit()
+    cluster.wait_for_state(again, JobState.RUNNING)
+    other = cluster.worker(1)
+    cluster.wait_for_state(cluster.submit(), JobState.RUNNING)
+    time.sleep(SETTLING_SECONDS + 2 * SETTLING_PAUSE_SECONDS)
+    assert other.poll() is None
+    cluster.start("janitor")
+    worker.kill()
+    for jobs in cluster.queue.running().values():
+        if again not in jobs:
+            cluster.queue.cancel(jobs.pop())
+    cluster.wait_until(lambda: cluster.job(again).executor == executor_id(1), "its adoption")
+
+
+def test_failures_are_counted_by_kind(cluster):
+    """Each once; one that fails again counts again."""
+    cluster.worker()
+    late = cluster.submit(timeout=0.001)
+    gone = cluster.submit(source=MeshShape(mesh="0" * 64))
+    counts = FailureCounts(cluster.queue)
+    cluster.wait_for_state(late, JobState.TIMED_OUT)
+    cluster.wait_for_state(gone, JobState.FAILED)
+    assert counts.since_last_call() == {"timeout": 1, "input": 1}
+    assert counts.since_last_call() == {}
+    finished = cluster.job(gone).finished_at
+    cluster.queue.retry(gone)
+    cluster.wait_until(
+        lambda: cluster.job(gone).finished_at not in (None, finished), "the job to fail again"
+    )
+    assert counts.since_last_call() == {"input": 1}
+    assert FailureCounts(cluster.queue).since_last_call() == {"timeout": 1, "input": 1}
 
 
 def test_own_priorities(cluster):

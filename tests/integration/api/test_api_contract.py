@@ -107,6 +107,7 @@ def test_health_and_figures(api: Api) -> None:
     assert api.http.get("/livez").json() == api.http.get("/readyz").json() == {"status": "ok"}
     figures = api.http.get("/metrics").text
     assert 'morph_jobs{state="queued"} 1.0' in figures
+    assert 'morph_job_failures_total{kind="input"} 0.0' in figures
     values = dict(line.rsplit(" ", 1) for line in figures.splitlines() if line[0] != "#")
     assert float(values["morph_queue_age_seconds"]) > 0
     assert float(values["morph_disk_free_bytes"]) > 0

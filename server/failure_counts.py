@@ -1,0 +1,40 @@
+"""How many jobs have failed, by kind; each failure is read from the database once."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+
+from chamfer_morph.worker.queue import PAGE, JobQueue
+
+OVERLAP_MILLISECONDS = 60_000
+"""Rows that finished so long before the last one are looked at again: they may come late, and
+clocks differ."""
+
+
+class FailureCounts:
+    """Counts failures, those from before the start of this process included. Calls block."""
+
+    def __init__(self, queue: JobQueue) -> None:
+        self._queue = queue
+        self._recent: dict[str, int] = {}
+        self._lock = threading.Lock()
+
+    def since_last_call(self) -> Counter[str]:
+        """Failures of each kind that no call has counted; a job that fails twice counts twice."""
+        counts: Counter[str] = Counter()
+        with self._lock:
+            after = self._newest() - OVERLAP_MILLISECONDS, ""
+            while page := self._queue.failed(after, PAGE):
+                for job, at, kind in page:
+                    if self._recent.get(job) != at:
+                        self._recent[job] = at
+                        counts[kind] += 1
+                after = page[-1][1], page[-1][0]
+            oldest = self._newest() - OVERLAP_MILLISECONDS
+            self._recent = {job: at for job, at in self._recent.items() if at >= oldest}
+        return counts
+
+    def _newest(self) -> int:
+        """When the last failure happened that is counted [ms since 1970]."""
+        return max(self._recent.values(), default=0)
