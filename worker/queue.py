@@ -375,6 +375,7 @@ class JobQueue:
     def delete(self, job_id: str) -> None:
         """Forget a job; its files are for `Storage.remove_job`."""
         self._client.delete_workflow(job_id)
+        self._cache.pop(job_id, None)
 
     def running(self) -> dict[str, set[str]]:
         """Ids of the running jobs by the worker slot that holds them."""
