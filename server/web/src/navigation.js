@@ -30,6 +30,16 @@ export function replaceQuery(query) {
   shown = address();
 }
 
+/** A value of the query; null where there is none. */
+export function query(name) {
+  return new URLSearchParams(location.search).get(name);
+}
+
+/** Change one value of the query without leaving the view; null takes it away. */
+export function setQuery(name, value) {
+  replaceQuery({ ...Object.fromEntries(new URLSearchParams(location.search)), [name]: value });
+}
+
 /** Set the title of the document, of which each view gives a part. */
 export function setTitle(text) {
   document.title = text ? `${text} · morph` : "morph";

@@ -1,27 +1,45 @@
 /** What the viewer shows and how: one set of controls for one view or for several. */
 import { h } from "../dom.js";
 import { number } from "../format.js";
+import { iconButton } from "../icons.js";
+import { query, setQuery } from "../navigation.js";
 import { COLOURS } from "./colors.js";
+import { LOOKS } from "./looks.js";
+import { LEVELS } from "./quality.js";
 
 const PLACE = "morph-display";
 const EXTENT = 14; // half edge of the domain's safe part [grid units]
+const KEPT = ["colour", "target", "up"]; // for next time, as they are a matter of taste
+const SHAPES = [
+  ["surface", "Surface"],
+  ["points", "Particles"],
+];
 
 /** How things are shown until somebody chooses otherwise. */
 export const USUAL = {
-  colour: "height",
-  shape: "points",
+  shape: "surface",
+  look: "clay",
+  colour: "none",
   target: "none",
   axis: "none",
   offset: 0,
   up: "y",
+  quality: "auto",
 };
 
-/** Controls of the display; `onChange` hears every choice. Those of taste are kept for next time. */
+/** What the address may say, so that who follows it sees the same. */
+const ADDRESSED = {
+  shape: SHAPES.map(([name]) => name),
+  look: Object.keys(LOOKS),
+  quality: ["auto", ...LEVELS.map(({ name }) => name)],
+};
+
+/** Controls of the display; `onChange` hears every choice. */
 export class Display {
-  /** @param {{onChange: (display: object) => void}} options */
-  constructor({ onChange }) {
+  /** @param {{onChange: (display: object) => void, open?: boolean}} options `open`: at first. */
+  constructor({ onChange, open = true }) {
     this.onChange = onChange;
-    this.state = { ...USUAL, ...stored() };
+    this.state = { ...USUAL, ...stored(), ...addressed() };
     const colours = Object.entries(COLOURS).map(([name, { label }]) => [name, label]);
     this.offset = h("input", {
       type: "range",
@@ -33,64 +51,101 @@ export class Display {
       on: { input: (event) => this.set({ offset: Number(event.target.value) }) },
     });
     this.reading = h("output", { class: "small quiet cut-reading" });
+    this.drawn = h("output", { class: "small quiet drawn-reading" });
+    this.toggle = iconButton("Display", "display", () => this.#open(this.element.hidden), {
+      key: "T",
+      "aria-controls": "display",
+    });
+    this.selects = {};
     this.element = h(
       "div",
-      { class: "display", role: "group", "aria-label": "Display" },
-      this.#choice("colour", "Colour", [["none", "One colour"], ...colours]),
-      this.#choice("shape", "Show as", [
-        ["points", "Particles"],
-        ["surface", "Surface"],
-      ]),
-      this.#choice("target", "Target", [
-        ["none", "Hidden"],
-        ["cloud", "Cloud"],
-        ["wireframe", "Wireframe"],
-      ]),
-      this.#choice("axis", "Cut", [
-        ["none", "Whole"],
-        ["x", "Across x"],
-        ["y", "Across y"],
-        ["z", "Across z"],
-      ]),
+      { class: "display floating", id: "display", role: "group", "aria-label": "Display" },
+      this.#choice("shape", "Show as", SHAPES, "S: surface, P: particles"),
+      this.#choice("look", "Look", Object.entries(LOOKS).map(([name, { label }]) => [name, label]), "Material of the surface"),
+      this.#choice("colour", "Colour", [["none", "Of the look"], ...colours], "What the colours tell"),
+      this.#choice(
+        "target",
+        "Target",
+        [
+          ["none", "Hidden"],
+          ["cloud", "Cloud"],
+          ["wireframe", "Wireframe"],
+        ],
+        "The shape to be reached",
+      ),
+      this.#choice(
+        "axis",
+        "Cut",
+        [
+          ["none", "Whole"],
+          ["x", "Across x"],
+          ["y", "Across y"],
+          ["z", "Across z"],
+        ],
+        "Take away what lies beyond a plane",
+      ),
       (this.slider = h(
         "div",
         { class: "field cut" },
-        h("label", { class: "small quiet", for: "display-offset" }, "Position of the cut"),
+        h("label", { class: "small", for: "display-offset" }, "Position of the cut"),
         h("div", { class: "row" }, this.offset, this.reading),
       )),
-      this.#choice("up", "Up", [
-        ["y", "y"],
-        ["z", "z"],
-      ]),
+      this.#choice(
+        "up",
+        "Up",
+        [
+          ["y", "y"],
+          ["z", "z"],
+        ],
+        "The axis that points up",
+      ),
+      this.#choice(
+        "quality",
+        "Drawing",
+        [["auto", "Automatic"], ...LEVELS.map(({ name, label }) => [name, label])],
+        "Finer drawing takes longer",
+      ),
+      this.drawn,
     );
     this.#reflect();
+    this.#open(open && matchMedia("(min-width: 64rem)").matches);
   }
 
   /** Change some of it. */
   set(change) {
-    Object.assign(this.state, change);
-    const { colour, target, up } = this.state;
-    localStorage.setItem(PLACE, JSON.stringify({ colour, target, up }));
+    Object.assign(this.state, change, "shape" in change && { asked: true });
+    const { state } = this;
+    localStorage.setItem(PLACE, JSON.stringify(Object.fromEntries(KEPT.map((name) => [name, state[name]]))));
+    for (const name of Object.keys(ADDRESSED)) {
+      if (name in change) setQuery(name, state[name] === USUAL[name] ? null : state[name]);
+    }
     this.#reflect();
-    this.onChange(this.state);
+    this.onChange(state);
   }
 
-  #choice(name, label, options) {
+  /** Say how finely is drawn, see quality.js. */
+  tell({ still, moving }) {
+    this.drawn.textContent = still === moving ? `Drawn: ${still}` : `Drawn: ${still}; in motion: ${moving}`;
+  }
+
+  #choice(name, label, options, title) {
     const id = `display-${name}`;
     const select = h(
       "select",
-      { id, value: this.state[name], on: { change: () => this.set({ [name]: select.value }) } },
+      { id, title, value: this.state[name], on: { change: () => this.set({ [name]: select.value }) } },
       options.map(([value, text]) => h("option", { value }, text)),
     );
-    return h(
-      "div",
-      { class: `field choice-${name}` },
-      h("label", { class: "small quiet", for: id }, label),
-      select,
-    );
+    this.selects[name] = select;
+    return h("div", { class: `field choice-${name}` }, h("label", { class: "small", for: id }, label), select);
+  }
+
+  #open(open) {
+    this.element.hidden = !open;
+    this.toggle.setAttribute("aria-expanded", String(open));
   }
 
   #reflect() {
+    for (const [name, select] of Object.entries(this.selects)) select.value = this.state[name];
     this.slider.hidden = this.state.axis === "none";
     this.reading.textContent = `${this.state.axis} = ${number(this.state.offset, 3)} dx`;
     this.offset.setAttribute("aria-valuetext", `${number(this.state.offset, 3)} grid units`);
@@ -100,6 +155,11 @@ export class Display {
 /** Which axis stands upright, as was last chosen. */
 export function upright() {
   return stored().up ?? USUAL.up;
+}
+
+function addressed() {
+  const found = Object.entries(ADDRESSED).map(([name, values]) => [name, values.find((one) => one === query(name))]);
+  return Object.fromEntries(found.filter(([, value]) => value));
 }
 
 function stored() {

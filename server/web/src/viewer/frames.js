@@ -99,6 +99,21 @@ export class Frames {
     return out;
   }
 
+  /**
+   * Positions between a frame and the next one, both of which are here.
+   *
+   * @param {number} share of the way to the next one, 0..1.
+   * @returns {Float32Array | null} as `positions` does, in a buffer that the next call reuses.
+   */
+  between(index, share) {
+    const next = this.#held.get(index + 1);
+    const out = next && this.positions(index);
+    if (!out || next.levels.length !== out.length) return null;
+    const { levels, offset, scale } = next;
+    for (let i = 0; i < out.length; i++) out[i] += share * (offset + scale * levels[i] - out[i]);
+    return out;
+  }
+
   #fetch() {
     // the first frame alone, since several at once would share out the way
     while (this.#running.size < (this.#held.size ? AT_ONCE : 1) && !this.signal.aborted) {

@@ -1,18 +1,20 @@
 /** One job in the viewer: its frames, colours, target and surface, with words that tell the same. */
-import { points } from "../api.js";
+import { pause, points } from "../api.js";
 import { fill, h } from "../dom.js";
 import { number, percent } from "../format.js";
 import { COLOURS, decisive, range, values } from "./colors.js";
 import { Frames } from "./frames.js";
 import { Legend } from "./legend.js";
 import { nearest } from "./nearest.js";
+import { Surfaces } from "./surfaces.js";
 
 const FIELDS_HELD = 40e6; // bytes
-const SURFACES_HELD = 12;
 const PATIENCE_MILLISECONDS = 400;
+const HURRY_MILLISECONDS = 150;
+const LESS_MOTION = "(prefers-reduced-motion: reduce)";
 const HELP =
   "Drag to turn, right button or two fingers to move, wheel to zoom. " +
-  "Keys: arrows turn, with Shift they move, + and − zoom, 0 resets.";
+  "Keys: 4, 6, 8 and 2 turn, with Shift they move, + and − zoom; question mark lists all.";
 
 /** A figure with the 3D view of a job; all of its methods may be called before it is ready. */
 export class Panel {
@@ -21,7 +23,8 @@ export class Panel {
   #ready;
   #opened;
   #fields = new Map();
-  #surfaces = new Map();
+  #playing = false;
+  #grows = false;
   #asked = new AbortController();
   #sourceAsked = false;
   #rangeOf = "";
@@ -34,10 +37,11 @@ export class Panel {
    * @param {AbortSignal} options.signal ends everything.
    * @param {object} options.display see display.js.
    * @param {(view: object) => void} [options.onView] hears how the user moves the camera.
+   * @param {(names: object) => void} [options.onQuality] hears how finely is drawn, see viewer.js.
    * @param {() => void} [options.onArrival] hears that a frame has come.
    * @param {() => Promise<object | null>} [options.sharedRange] the range of several jobs together.
    */
-  constructor(jobId, { signal, display, onView, onArrival = () => {}, sharedRange = null }) {
+  constructor(jobId, { signal, display, onView, onQuality, onArrival = () => {}, sharedRange = null }) {
     this.jobId = jobId;
     this.signal = signal;
     this.display = { ...display };
@@ -45,6 +49,7 @@ export class Panel {
     this.metrics = () => null;
     this.total = 0;
     this.index = -1;
+    this.surfaces = new Surfaces(jobId, signal);
     this.frames = new Frames(jobId, {
       signal,
       onArrival: (index) => {
@@ -67,12 +72,12 @@ export class Panel {
     this.element = h(
       "figure",
       { class: "view" },
-      h("div", { class: "scene-frame" }, this.scene, this.note),
-      h("div", { class: "under" }, this.caption, this.legend.element),
+      h("div", { class: "scene-frame" }, this.scene),
+      h("div", { class: "under" }, this.note, this.legend.element, this.caption),
       this.help,
     );
     this.#ready = new Promise((resolve) => (this.#opened = resolve));
-    this.onView = onView;
+    Object.assign(this, { onView, onQuality });
     signal.addEventListener("abort", () => this.#viewer?.dispose(), { once: true });
   }
 
@@ -95,7 +100,7 @@ export class Panel {
   clear() {
     this.frames.clear();
     this.#fields.clear();
-    this.#surfaces.clear();
+    this.surfaces.clear();
     this.source = undefined;
     this.#sourceAsked = false;
     this.#rangeOf = "";
@@ -108,9 +113,10 @@ export class Panel {
     this.#say("");
   }
 
-  /** Show a frame once it is here; a later call overtakes an earlier one. */
-  async show(index) {
+  /** Show a frame once it is here; a later call overtakes an earlier one. While playing, none waits for surfaces. */
+  async show(index, { playing = false } = {}) {
     const turn = ++this.#turn;
+    this.#playing = playing;
     this.#asked.abort();
     this.#asked = new AbortController();
     const viewer = await this.#ready;
@@ -120,6 +126,24 @@ export class Panel {
     this.describe();
     if (viewer && this.#targetShown !== this.display.target) this.#showTarget(viewer);
     if (viewer) await this.#paint(viewer, turn);
+  }
+
+  /** Whether the job still computes; it is spared the work that surfaces are, until somebody asks for one. */
+  get grows() {
+    return this.#grows;
+  }
+
+  set grows(grows) {
+    const done = this.#grows && !grows;
+    this.#grows = grows;
+    if (done) this.#recolour();
+  }
+
+  /** Show particles on their way from the frame shown to the next one, at a share of it. */
+  between(share) {
+    if (this.#viewer?.kind !== "points" || matchMedia(LESS_MOTION).matches) return;
+    const positions = this.frames.between(this.index, share);
+    if (positions) this.#viewer.setFrame(this.index, positions);
   }
 
   /** Show the source until there is a frame. */
@@ -146,9 +170,11 @@ export class Panel {
     const viewer = await this.#ready;
     if (!viewer) return;
     if (before.up !== display.up) viewer.setUp(display.up);
+    if (before.look !== display.look) viewer.setLook(display.look);
+    if (before.quality !== display.quality) viewer.setQuality(display.quality);
     const { axis, offset } = display;
     viewer.setCut(axis === "none" ? null : { axis, offset });
-    const turning = ["colour", "shape", "up"].some((name) => before[name] !== display[name]);
+    const turning = ["colour", "shape", "up", "look"].some((name) => before[name] !== display[name]);
     if (this.#targetShown !== display.target) await this.#showTarget(viewer);
     if (turning) await this.#recolour();
   }
@@ -192,15 +218,18 @@ export class Panel {
     try {
       const { Viewer } = await import("./viewer.js");
       if (this.signal.aborted) return null;
-      const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)").matches;
-      this.#viewer = new Viewer(this.scene, { reducedMotion, onView: this.onView });
+      const reducedMotion = matchMedia(LESS_MOTION).matches;
+      const { onView, onQuality } = this;
+      this.#viewer = new Viewer(this.scene, { reducedMotion, onView, onQuality });
     } catch (error) {
       console.warn("no 3D view", error);
       this.#say("This browser does not show 3D graphics; numbers and downloads are below.");
       return null;
     }
-    const { axis, offset, up } = this.display;
+    const { axis, offset, up, look, quality } = this.display;
     this.#viewer.setUp(up);
+    this.#viewer.setLook(look);
+    this.#viewer.setQuality(quality);
     this.#viewer.setCut(axis === "none" ? null : { axis, offset });
     this.#showTarget(this.#viewer);
     this.describe();
@@ -213,39 +242,47 @@ export class Panel {
     if (viewer && this.index >= 0) await this.#paint(viewer, this.#turn);
   }
 
-  /** Colours or surface of the frame shown, as far as nothing newer is wanted. */
+  /** Colours and surface of the frame shown, as far as nothing newer is wanted; particles until it is there. */
   async #paint(viewer, turn) {
-    const stale = () => turn !== this.#turn || this.signal.aborted;
-    const surface = this.display.shape === "surface";
-    const { colour } = this.display;
+    const { shape, look } = this.display;
+    const others = () =>
+      turn !== this.#turn || this.signal.aborted || shape !== this.display.shape || look !== this.display.look;
+    const held = shape === "surface" ? this.#heldSurface() : null;
+    viewer.setSurface(held);
+    this.#say(held ? about(held) : this.#absence());
+    await this.#paintColours(viewer, held, others);
+    if (others() || shape !== "surface" || held || this.#playing || this.#waits) return;
     try {
-      const mesh = surface && (await this.#patiently("Computing the surface…", this.#surface(this.index)));
-      if (stale() || surface !== (this.display.shape === "surface")) return;
-      viewer.setSurface(mesh || null);
-      this.#say(mesh ? about(mesh) : "");
-      if (!(colour in COLOURS)) {
-        if (mesh) viewer.setSurfaceColors(null);
-        else viewer.setColors(null);
-        this.legend.show(null);
-        return;
-      }
-      const [found, scale] = await this.#patiently("Computing the colours…", this.#coloured(colour));
-      if (stale() || colour !== this.display.colour) return;
-      if (surface !== (this.display.shape === "surface")) return;
-      if (mesh) viewer.setSurfaceColors(found, scale, this.#near(mesh));
-      else viewer.setColors(found, scale);
-      this.legend.show(found ? colour : null, scale);
-      this.#say(mesh ? about(mesh) : "");
+      await pause(HURRY_MILLISECONDS, this.#asked.signal); // who hurries through frames asks for none
+      if (others()) return;
+      const mesh = await this.#patiently("Computing the surface…", this.surfaces.get(this.index, this.#asked.signal));
+      if (others()) return;
+      viewer.setSurface(mesh);
+      this.#say(about(mesh));
+      await this.#paintColours(viewer, mesh, others);
     } catch (error) {
-      if (stale() || error.name === "AbortError") return;
-      if (surface) {
-        viewer.setSurface(null); // that of another frame
-      } else {
-        viewer.setColors(null);
-        this.legend.show(null);
-      }
-      const what = surface ? "The surface" : COLOURS[colour].label;
-      this.#say(`${what} is not available: ${error.message}`);
+      if (!others() && error.name !== "AbortError") this.#say(`The surface is not available: ${error.message}`);
+    }
+  }
+
+  /** Colour the particles, or the surface where there is one. */
+  async #paintColours(viewer, mesh, others) {
+    const { colour } = this.display;
+    const set = (values, scale) => {
+      if (mesh) viewer.setSurfaceColors(values, scale, values && this.#near(mesh));
+      else viewer.setColors(values, scale);
+      this.legend.show(values ? colour : null, scale);
+    };
+    if (!(colour in COLOURS)) return set(null);
+    try {
+      const [values, scale] = await this.#patiently("Computing the colours…", this.#coloured(colour));
+      if (others() || colour !== this.display.colour) return;
+      set(values, scale);
+      this.#say(mesh ? about(mesh) : this.#absence());
+    } catch (error) {
+      if (others() || error.name === "AbortError") return;
+      set(null);
+      this.#say(`${COLOURS[colour].label} is not available: ${error.message}`);
     }
   }
 
@@ -301,17 +338,30 @@ export class Panel {
     return { source: this.source ?? null, up };
   }
 
-  async #surface(index) {
-    if (!this.#surfaces.has(index)) {
-      const { mesh } = await import("./meshes.js");
-      const path = `/jobs/${this.jobId}/frames/${index}/surface`;
-      const found = await mesh(path, { query: { units: "grid" }, signal: this.#asked.signal });
-      this.#surfaces.set(index, found);
-      if (this.#surfaces.size > SURFACES_HELD) {
-        this.#surfaces.delete(this.#surfaces.keys().next().value);
-      }
+  /** Whether the surface has to wait until the job is done. */
+  get #waits() {
+    return this.grows && !this.display.asked;
+  }
+
+  /**
+   * The surface of the frame shown, if it is here. In motion, only if those of all frames are, so that one and
+   * the same thing moves.
+   */
+  #heldSurface() {
+    const { surfaces, index, frames } = this;
+    if (this.#playing && surfaces.count < frames.known) {
+      if (!this.#waits) surfaces.fill(frames.known);
+      return null;
     }
-    return this.#surfaces.get(index);
+    return surfaces.held(index) ?? null;
+  }
+
+  /** Why there are particles where a surface is wanted. */
+  #absence() {
+    if (this.display.shape !== "surface") return "";
+    if (this.#waits) return "Particles while the job computes; S shows the surface.";
+    const { surfaces, frames } = this;
+    return this.#playing ? `Particles, until all surfaces are here: ${surfaces.count} of ${frames.known}.` : "";
   }
 
   /** The particle nearest to each vertex of the surface of the frame shown. */

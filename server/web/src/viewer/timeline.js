@@ -1,33 +1,32 @@
 /** Frames in time: play, step, scrub, follow the newest one. */
-import { h, svg } from "../dom.js";
-import { pause } from "../api.js";
+import { h } from "../dom.js";
+import { icon, iconButton } from "../icons.js";
 
 const RATES = [4, 8, 12, 24, 48];
 const USUAL_RATE = 12;
-const ICONS = {
-  play: "M4 2.5v11l9-5.5z",
-  pause: "M4 2.5h3v11H4zM9 2.5h3v11H9z",
-  back: "M10.5 2.5 5 8l5.5 5.5",
-  forward: "M5.5 2.5 11 8l-5.5 5.5",
-};
 
 /** A timeline; it follows the newest frame until the user chooses one. */
 export class Timeline {
   #turn = 0;
 
   /**
-   * @param {{show: (index: number) => Promise<void>, signal: AbortSignal}} options `show` resolves
-   *   once the frame is to be seen.
+   * @param {object} options
+   * @param {(index: number, how: {playing: boolean}) => Promise<void>} options.show resolves once the frame is
+   *   to be seen.
+   * @param {(share: number) => void} options.between shows what is on its way from this frame to the next.
+   * @param {(index: number | null) => void} [options.onRest] hears which frame the user stays at; null for the
+   *   newest, whichever that is.
+   * @param {AbortSignal} options.signal
    */
-  constructor({ show, signal }) {
-    this.show = show;
-    this.signal = signal;
+  constructor({ show, between, onRest = () => {}, signal }) {
+    Object.assign(this, { show, between, onRest, signal });
     this.index = -1;
     this.count = 0;
     this.following = true;
     this.playing = false;
+    this.moving = false; // whether what is shown is a part of a motion
 
-    this.toggle = button("Play", "play", () => (this.playing ? this.stop() : this.play()));
+    this.toggle = iconButton("Play", "play", () => (this.playing ? this.rest() : this.play()), { key: "Space" });
     this.toggle.classList.add("primary");
     this.range = h("input", {
       type: "range",
@@ -36,6 +35,7 @@ export class Timeline {
       value: 0,
       disabled: true,
       "aria-label": "Frame",
+      title: "Frame (← →)",
       on: {
         input: () => this.choose(Number(this.range.value)),
         keydown: (event) => {
@@ -48,8 +48,8 @@ export class Timeline {
     this.reading = h("output", { class: "reading", "aria-live": "off" });
     this.rate = h(
       "select",
-      { value: String(USUAL_RATE), "aria-label": "Speed" },
-      RATES.map((rate) => h("option", { value: rate }, `${rate} frames/s`)),
+      { value: String(USUAL_RATE), "aria-label": "Speed", title: "Frames a second" },
+      RATES.map((rate) => h("option", { value: rate }, `${rate}/s`)),
     );
     this.loop = h("input", { type: "checkbox" });
     this.follow = h(
@@ -60,13 +60,13 @@ export class Timeline {
     this.follow.addEventListener("click", () => this.setFollowing(!this.following));
     this.element = h(
       "div",
-      { class: "timeline", role: "group", "aria-label": "Timeline" },
+      { class: "timeline floating", role: "group", "aria-label": "Timeline" },
       h(
         "div",
         { class: "row steps" },
-        button("One frame back", "back", () => this.step(-1)),
+        iconButton("One frame back", "back", () => this.step(-1), { key: "←" }),
         this.toggle,
-        button("One frame on", "forward", () => this.step(1)),
+        iconButton("One frame on", "forward", () => this.step(1), { key: "→" }),
       ),
       this.range,
       this.reading,
@@ -98,8 +98,10 @@ export class Timeline {
     this.stop();
     this.following = false;
     this.go(index);
+    this.onRest(index);
   }
 
+  /** @param {number} by so many frames on, or back; to the ends at most. */
   step(by) {
     if (this.count) this.choose(Math.min(Math.max(this.index + by, 0), this.count - 1));
   }
@@ -108,25 +110,45 @@ export class Timeline {
     this.following = following;
     this.stop();
     if (following && this.count) this.go(this.count - 1);
+    this.onRest(following ? null : this.index);
     this.#reflect();
   }
 
-  /** Play from here, or from the beginning if this is the end. */
+  /** Play from here, or from the beginning if this is the end; between frames what moves is shown on its way. */
   async play() {
     if (this.count < 2) return;
     const turn = ++this.#turn;
     this.playing = true;
     this.following = false;
     this.#reflect();
-    let next = this.index >= this.count - 1 ? 0 : this.index + 1;
+    let at = this.index >= this.count - 1 ? 0 : this.index;
     while (turn === this.#turn && !this.signal.aborted) {
-      const due = performance.now() + 1000 / Number(this.rate.value);
-      await this.go(next);
-      await pause(Math.max(0, due - performance.now()), this.signal);
-      if (next >= this.count - 1 && !this.loop.checked) break;
-      next = next >= this.count - 1 ? 0 : next + 1;
+      await this.at(at);
+      const shown = performance.now(); // the clock rests while something is awaited
+      await new Promise(requestAnimationFrame);
+      const last = this.count - 1;
+      if (at >= last && !this.loop.checked) break;
+      at += ((performance.now() - shown) / 1000) * Number(this.rate.value);
+      if (at > last) at = this.loop.checked && Math.floor(this.index) === last ? 0 : last;
     }
-    if (turn === this.#turn) this.stop();
+    if (turn === this.#turn) this.rest();
+  }
+
+  /** Show a moment, which may lie between two frames, as a part of a motion. */
+  async at(moment) {
+    const index = Math.floor(moment);
+    if (index !== this.index || !this.moving) {
+      this.moving = true;
+      await this.#show(index, { playing: true });
+    }
+    if (moment > index) this.between(moment - index);
+  }
+
+  /** Stop, and stay at a whole frame. */
+  rest() {
+    this.stop();
+    this.go(this.index);
+    this.onRest(this.index);
   }
 
   stop() {
@@ -137,9 +159,14 @@ export class Timeline {
 
   /** Show a frame. */
   go(index) {
+    this.moving = false;
+    return this.#show(index, { playing: false });
+  }
+
+  #show(index, how) {
     this.index = index;
     this.#reflect();
-    return index < 0 ? Promise.resolve() : this.show(index);
+    return index < 0 ? Promise.resolve() : this.show(index, how);
   }
 
   #reflect() {
@@ -149,31 +176,10 @@ export class Timeline {
     this.range.setAttribute("aria-valuetext", `Frame ${this.index + 1} of ${this.count}`);
     this.toggle.disabled = this.count < 2;
     this.follow.setAttribute("aria-pressed", String(this.following));
-    const [label, icon] = this.playing ? ["Pause", "pause"] : ["Play", "play"];
+    const [label, name] = this.playing ? ["Pause", "pause"] : ["Play", "play"];
     if (this.toggle.getAttribute("aria-label") === label) return;
     this.toggle.setAttribute("aria-label", label);
-    this.toggle.replaceChildren(drawing(icon));
+    this.toggle.title = `${label} (Space)`;
+    this.toggle.replaceChildren(icon(name));
   }
-}
-
-function button(label, icon, act) {
-  return h(
-    "button",
-    { type: "button", class: "icon", "aria-label": label, on: { click: act } },
-    drawing(icon),
-  );
-}
-
-function drawing(icon) {
-  const line = icon === "back" || icon === "forward";
-  return svg(
-    "svg",
-    { viewBox: "0 0 16 16", width: 16, height: 16, "aria-hidden": "true" },
-    svg("path", {
-      d: ICONS[icon],
-      fill: line ? "none" : "currentColor",
-      stroke: line ? "currentColor" : "none",
-      "stroke-width": 2,
-    }),
-  );
 }

@@ -5,12 +5,9 @@ import {
   BufferGeometry,
   Color,
   DirectionalLight,
-  DoubleSide,
-  HemisphereLight,
   LineBasicMaterial,
   LineSegments,
-  Mesh,
-  MeshLambertMaterial,
+  NeutralToneMapping,
   PerspectiveCamera,
   Plane,
   Scene,
@@ -21,11 +18,18 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+import { backdrop } from "./backdrop.js";
+import { CASTS, ContactShadow } from "./contact_shadow.js";
+import { LOOKS } from "./looks.js";
+import { roomLight } from "./materials.js";
 import { NONE } from "./nearest.js";
+import { Occlusion } from "./occlusion.js";
 import { LEVELS, palette } from "./palettes.js";
 import { Particles } from "./particles.js";
+import { LEVELS as FINENESS, Quality } from "./quality.js";
 import { record } from "./recording.js";
 import { spacing } from "./spacing.js";
+import { Surface } from "./surface.js";
 
 const FIELD_OF_VIEW = 35;
 const TURN = Math.PI / 36;
@@ -33,16 +37,24 @@ const PAN_PIXELS = 24;
 const ZOOM = 1.1;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const FROM = { y: [0.5, 0.35, 1], z: [0.5, -1, 0.35] };
+const MARGIN = 1.1; // around everything in sight, for the controls
 const RADIUS = 0.62; // of the spacing: neighbours touch and holes still show
 const GHOST_RADIUS = 0.22;
-const COARSE = { above: 12000, share: 0.25, pixelRatio: 0.5, milliseconds: 180 };
+const SKETCHED = 10_000; // particles of a sketch
+const REST_MILLISECONDS = 180; // without a change, after which the picture is at rest
+const SIDES = { 1: { y: [0, 0, 1], z: [0, -1, 0] }, 3: { y: [1, 0, 0], z: [1, 0, 0] }, 7: { y: [0, 1, 0], z: [0, 0, 1] } };
+const LAMPS = [
+  [1.5, -0.7, 0.9, 0.5], // strength and place beside the camera: key
+  [1, 0.8, 0.5, -1.2], // and rim; the room fills
+];
+const ROOM = 0.36; // strength of the room's light
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
 /**
  * A view of particles in an element that has a size of its own.
  *
- * Lengths are in grid units. Colours of plain things come from the element's custom properties
- * `--particle`, `--ghost` and `--edge`; the background is the element's own.
+ * Lengths are in grid units. Colours of the target come from the element's custom properties `--ghost` and
+ * `--edge`, that of particles from the look; the background is the element's own.
  */
 export class Viewer {
   #frameOf = null; // bounding sphere the camera was last fitted to
@@ -51,46 +63,62 @@ export class Viewer {
   #up = "y";
   #silent = false;
   #touched = false;
-  #refining = 0;
+  #resting = 0;
+  #occlusion = null;
+  #behind = null;
+  #ground = Infinity; // its level along the upward axis
+  #shadowed = false; // whether the shadow is that of what is shown
+  #told = "";
   #spaced = false;
   #reducedMotion;
   #onView;
+  #onQuality;
   #listen = new AbortController();
 
   /**
    * @param {HTMLElement} element where the canvas goes; takes the keyboard while it has the focus.
-   * @param {{reducedMotion?: boolean, onView?: (view: object) => void}} options
-   *   `onView` hears how the user moved the camera.
+   * @param {object} [options]
+   * @param {boolean} [options.reducedMotion]
+   * @param {(view: object) => void} [options.onView] hears how the user moved the camera.
+   * @param {(names: {still: string, moving: string}) => void} [options.onQuality] hears how finely is drawn.
    */
-  constructor(element, { reducedMotion = false, onView = () => {} } = {}) {
+  constructor(element, { reducedMotion = false, onView = () => {}, onQuality = () => {} } = {}) {
     this.element = element;
     const { canvas, software } = freshCanvas();
-    this.software = software;
     this.canvas = canvas;
-    this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true });
-    if (software) this.renderer.setPixelRatio(COARSE.pixelRatio); // as the first picture will be
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true, stencil: true });
+    this.renderer.toneMapping = NeutralToneMapping;
+    this.renderer.localClippingEnabled = true;
+    this.quality = new Quality();
     this.canvas.setAttribute("role", "img");
     element.append(this.canvas);
 
     this.scene = new Scene();
+    this.scene.environmentIntensity = ROOM;
     this.camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.1, 1000);
-    const lamp = new DirectionalLight(0xffffff, 2.4);
-    lamp.position.set(-0.6, 0.7, 0.6);
-    this.camera.add(lamp);
-    this.scene.add(this.camera, new HemisphereLight(0xffffff, 0x505860, 1.2));
+    for (const [strength, ...place] of LAMPS) {
+      const lamp = new DirectionalLight(0xffffff, strength);
+      lamp.position.set(...place);
+      this.camera.add(lamp);
+    }
     this.particles = new Particles();
     this.ghost = new Particles({ ghost: true });
-    this.ghost.visible = false;
-    this.scene.add(this.particles, this.ghost);
+    this.surface = new Surface();
+    this.shadow = new ContactShadow();
+    this.particles.layers.enable(CASTS);
+    this.surface.mesh.layers.enable(CASTS);
+    this.ghost.visible = this.surface.visible = false;
+    this.scene.add(this.camera, this.particles, this.ghost, this.surface, this.shadow);
 
     this.#reducedMotion = reducedMotion;
     this.#onView = onView;
+    this.#onQuality = onQuality;
+    this.setLook("clay");
     this.#control();
     const { signal } = this.#listen;
-    element.addEventListener("keydown", (event) => this.#key(event), { signal });
-    document.addEventListener("themechange", () => this.#paint(), { signal });
+    document.addEventListener("themechange", () => this.#repaint(), { signal });
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault(), { signal });
-    this.canvas.addEventListener("webglcontextrestored", () => this.draw(), { signal });
+    this.canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
     this.#observer = new ResizeObserver(() => this.resize());
     this.#observer.observe(element);
     this.#paint();
@@ -103,6 +131,7 @@ export class Viewer {
     const others = this.particles.count !== positions.length / 3;
     if (others && !this.#spaced) this.#space(spacing(positions));
     this.particles.setPositions(positions);
+    this.#changed();
     if (!this.#touched && (others || !this.#contains(positions))) this.reset();
     this.draw();
   }
@@ -118,6 +147,19 @@ export class Viewer {
   setSpacing(distance) {
     this.#spaced = true;
     this.#space(distance);
+  }
+
+  /** @param {string} name of a look, see looks.js. */
+  setLook(name) {
+    this.look = name;
+    this.surface.setLook(name);
+    this.#paint();
+  }
+
+  /** @param {string} name of a level of fineness, or "auto". */
+  setQuality(name) {
+    this.quality.chosen = name;
+    this.draw();
   }
 
   #space(distance) {
@@ -136,23 +178,34 @@ export class Viewer {
 
   /** @param {{vertices: Float32Array, faces: Uint32Array} | null} mesh of the target, as lines. */
   setWireframe(mesh) {
-    this.#replace("wireframe", mesh, (geometry) => {
-      const lines = new WireframeGeometry(geometry);
-      geometry.dispose();
+    if (this.wireframe) {
+      this.scene.remove(this.wireframe);
+      this.wireframe.geometry.dispose();
+      this.wireframe.material.dispose();
+      this.wireframe = null;
+    }
+    if (mesh) {
+      const geometry = new BufferGeometry();
+      geometry.setAttribute("position", new BufferAttribute(mesh.vertices, 3));
+      geometry.setIndex(new BufferAttribute(mesh.faces, 1));
       const material = new LineBasicMaterial({ transparent: true, opacity: 0.5, depthWrite: false });
-      return new LineSegments(lines, material);
-    });
+      this.wireframe = new LineSegments(new WireframeGeometry(geometry), material);
+      this.wireframe.frustumCulled = false;
+      geometry.dispose();
+      this.scene.add(this.wireframe);
+      this.#paint();
+    }
     this.setCut(this.cut ?? null);
   }
 
   /** @param {{vertices: Float32Array, faces: Uint32Array} | null} mesh shown instead of particles. */
   setSurface(mesh) {
-    this.#replace("surface", mesh, (geometry) => {
-      geometry.computeVertexNormals();
-      return new Mesh(geometry, new MeshLambertMaterial({ side: DoubleSide }));
-    });
+    this.surface.visible = mesh !== null;
     this.particles.visible = mesh === null;
-    this.setCut(this.cut ?? null);
+    this.#changed();
+    if (!mesh) return;
+    this.surface.setMesh(mesh);
+    this.scene.environment ??= roomLight(this.renderer);
   }
 
   /**
@@ -163,15 +216,9 @@ export class Viewer {
    * @param {Uint32Array} [near] the particle of each vertex, see nearest.js.
    */
   setSurfaceColors(values, scale, near) {
-    if (!this.surface) return;
-    const { geometry, material } = this.surface;
-    material.vertexColors = values !== null;
-    material.needsUpdate = true;
-    if (values) {
-      const plain = new Color(this.#colour("--particle"));
-      geometry.setAttribute("color", new BufferAttribute(vertexColors(values, scale, near, plain), 3));
-    }
-    this.#paint();
+    const plain = new Color(LOOKS[this.look].color);
+    this.surface.setColors(values && vertexColors(values, scale, near, plain));
+    this.draw();
   }
 
   /** Colour the particles by values, see Particles.setColors; null for one plain colour. */
@@ -187,12 +234,13 @@ export class Viewer {
     for (const cloud of [this.particles, this.ghost]) {
       cloud.material.uniforms.cut.value.set(...normal, cut ? cut.offset : 1);
     }
-    this.renderer.localClippingEnabled = cut !== null;
-    const planes = cut ? [new Plane(new Vector3(...normal).negate(), cut.offset)] : [];
-    for (const object of [this.surface, this.wireframe]) {
-      if (object) object.material.clippingPlanes = planes;
+    this.shadow.footprint.uniforms.cut.value.copy(this.particles.material.uniforms.cut.value);
+    const axis = new Vector3(...normal);
+    this.surface.setCut(cut && { normal: axis, offset: cut.offset, center: this.#frameOf?.center ?? new Vector3() });
+    if (this.wireframe) {
+      this.wireframe.material.clippingPlanes = cut ? [new Plane(axis.clone().negate(), cut.offset)] : [];
     }
-    this.draw();
+    this.#changed();
   }
 
   /** @param {"y"|"z"} axis that points up. */
@@ -200,6 +248,7 @@ export class Viewer {
     if (axis === this.#up) return;
     this.#up = axis;
     this.camera.up.set(...AXES[axis]);
+    this.scene.environmentRotation.x = axis === "z" ? Math.PI / 2 : 0;
     this.#control();
     this.reset();
   }
@@ -236,9 +285,10 @@ export class Viewer {
     const center = box.getCenter(new Vector3());
     const radius = Math.max(...clouds.map(({ positions }) => reach(positions, center)), 0.1);
     this.#fit(new Sphere(center, radius));
+    this.#ground = box.min[this.#up];
     this.#touched = false;
     const narrow = Math.min(1, this.camera.aspect);
-    const distance = (1.02 * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
+    const distance = (MARGIN * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
     this.controls.target.copy(center);
     this.camera.position
       .set(...FROM[this.#up])
@@ -257,6 +307,41 @@ export class Viewer {
     this.controls.minDistance = radius / 10;
     this.controls.maxDistance = radius * 20;
     this.camera.updateProjectionMatrix();
+    this.surface.setSize(radius);
+    this.setCut(this.cut ?? null);
+  }
+
+  /**
+   * Move the camera by steps or to a side, as keys do.
+   *
+   * @param {{turn?: number[], pan?: number[], zoom?: number, side?: string}} move
+   */
+  steer({ turn, pan, zoom, side }) {
+    const { controls } = this;
+    this.#quietly(() => {
+      if (turn) {
+        controls.rotateLeft(TURN * turn[0]);
+        controls.rotateUp(TURN * turn[1]);
+      }
+      if (pan) controls.pan(PAN_PIXELS * pan[0], PAN_PIXELS * pan[1]);
+      if (zoom > 0) controls.dollyIn(ZOOM);
+      if (zoom < 0) controls.dollyOut(ZOOM);
+      if (side) this.#lookFrom(side);
+      controls.update();
+    });
+    this.draw();
+    this.#moved();
+  }
+
+  /** 1, 3 and 7 are the front, the right and the top; 9 is the opposite side. */
+  #lookFrom(side) {
+    const { position } = this.camera;
+    const { target } = this.controls;
+    const arm = position.clone().sub(target);
+    const length = arm.length();
+    if (SIDES[side]) arm.set(...SIDES[side][this.#up]).setLength(length);
+    else arm.negate();
+    position.copy(target).add(arm);
   }
 
   /** Turn the camera about what it looks at [radians]. */
@@ -268,7 +353,7 @@ export class Viewer {
     this.draw();
   }
 
-  /** Draw at the next opportunity, once; coarsely first where drawing is slow. */
+  /** Draw at the next opportunity, once; more finely as soon as nothing changes any more. */
   draw() {
     if (this.#queued) return;
     this.#queued = true;
@@ -276,27 +361,94 @@ export class Viewer {
       this.#queued = false;
       if (this.disposed) return;
       this.controls.update();
-      const slow = this.software && this.particles.visible && this.particles.count > COARSE.above;
-      this.render({ coarse: slow });
-      clearTimeout(this.#refining);
-      if (slow) this.#refining = setTimeout(() => this.disposed || this.render(), COARSE.milliseconds);
+      this.render("moving");
+      clearTimeout(this.#resting);
+      this.#resting = setTimeout(() => this.#rest(), REST_MILLISECONDS);
     });
   }
 
-  /** Draw now, every particle or, coarsely, some of them with fewer pixels. */
-  render({ coarse = false } = {}) {
-    const ratio = coarse ? COARSE.pixelRatio : this.software ? 1 : Math.min(devicePixelRatio, 2);
+  /** Draw now, as finely as there is time for, see quality.js. */
+  render(motion = "still") {
+    if (!this.canvas.width || !this.canvas.height) return;
+    const { kind, quality } = this;
+    const level = quality.level(kind, motion);
+    const measured = quality.measures(kind, level);
+    const begun = performance.now();
+    this.#render(FINENESS[level].name);
+    if (!measured) return;
+    const gl = this.renderer.getContext();
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until all is drawn
+    quality.took(kind, level, performance.now() - begun);
+  }
+
+  /** @returns {"surface" | "points"} what is shown. */
+  get kind() {
+    return this.surface.visible ? "surface" : "points";
+  }
+
+  /** Draw at rest; again while it is not known yet how fine that may be. */
+  #rest() {
+    if (this.disposed) return;
+    const { kind, quality } = this;
+    this.render();
+    if (quality.learns(kind, quality.level(kind, "still"))) {
+      this.#resting = setTimeout(() => this.#rest());
+      return;
+    }
+    const [still, moving] = ["still", "moving"].map((motion) => FINENESS[quality.level(kind, motion)].label.toLowerCase());
+    if (this.#told === still + moving) return;
+    this.#told = still + moving;
+    this.#onQuality({ still, moving });
+  }
+
+  #render(fineness) {
+    const sketch = fineness === "sketch";
+    const full = fineness === "full";
+    const ratio = sketch ? 0.5 : Math.min(devicePixelRatio, full ? 2 : 1);
     if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
-    for (const cloud of [this.particles, this.ghost]) cloud.thin(coarse ? COARSE.share : 1);
-    const { width, height } = this.canvas;
-    const pixels = height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
-    const { distance } = this;
     const radius = this.#frameOf?.radius ?? 10;
+    if (!this.#shadowed) this.#castShadow(radius);
+    const { distance } = this;
+    const pixels = this.canvas.height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
     for (const cloud of [this.particles, this.ghost]) {
+      cloud.thin(sketch && cloud.count ? Math.min(1, SKETCHED / cloud.count) : 1);
       cloud.material.uniforms.pixels.value = pixels;
       cloud.material.uniforms.depth.value = [distance - radius, distance + radius];
     }
-    if (width && height) this.renderer.render(this.scene, this.camera);
+    this.surface.refract(full);
+    this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
+    this.renderer.render(this.scene, this.camera);
+    // what is clear has no creases, and three's pass does not know of cuts
+    if (!full || !this.surface.visible || this.surface.clear || this.cut) return;
+    this.#occlusion ??= new Occlusion(this.scene, this.camera);
+    this.shadow.visible = false;
+    this.#occlusion.render(this.renderer, radius);
+    this.shadow.visible = true;
+  }
+
+  #backdrop() {
+    return (this.#behind ??= backdrop(this.#colour("--scene-light"), this.#colour("--scene")));
+  }
+
+  #castShadow(radius) {
+    this.shadow.visible = this.particles.visible || this.surface.visible;
+    if (!this.shadow.visible || !this.#frameOf || !this.particles.count) return;
+    this.#shadowed = true;
+    this.#ground = Math.min(this.#ground, lowest(this.particles.positions, this.#up));
+    this.shadow.place(this.#up, this.#frameOf.center, radius, this.#ground);
+    this.particles.thin(1);
+    this.shadow.update(this.renderer, this.scene, 2 * this.particles.radius);
+  }
+
+  /** Something else is shown, or elsewhere. */
+  #changed() {
+    this.#shadowed = false;
+    this.draw();
+  }
+
+  #restore() {
+    this.scene.environment &&= roomLight(this.renderer);
+    this.#changed();
   }
 
   /** Fit the canvas to its element. */
@@ -306,6 +458,8 @@ export class Viewer {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    this.quality.forget();
+    if (!this.#touched) this.reset();
     this.draw();
   }
 
@@ -342,8 +496,13 @@ export class Viewer {
     this.#listen.abort();
     this.#observer.disconnect();
     this.controls.dispose();
+    clearTimeout(this.#resting);
     this.setWireframe(null);
-    this.setSurface(null);
+    this.scene.environment?.dispose();
+    this.#behind?.dispose();
+    this.#occlusion?.dispose();
+    this.surface.dispose();
+    this.shadow.dispose();
     this.particles.dispose();
     this.ghost.dispose();
     this.renderer.dispose();
@@ -351,30 +510,16 @@ export class Viewer {
     this.canvas.remove();
   }
 
-  #replace(name, mesh, make) {
-    if (this[name]) {
-      this.scene.remove(this[name]);
-      this[name].geometry.dispose();
-      this[name].material.dispose();
-      this[name] = null;
-    }
-    if (mesh) {
-      const geometry = new BufferGeometry();
-      geometry.setAttribute("position", new BufferAttribute(mesh.vertices, 3));
-      geometry.setIndex(new BufferAttribute(mesh.faces, 1));
-      this[name] = make(geometry);
-      this[name].frustumCulled = false;
-      this.scene.add(this[name]);
-      this.#paint();
-    }
-    this.draw();
+  /** Colours have changed with the theme. */
+  #repaint() {
+    this.#behind?.dispose();
+    this.#behind = null;
+    this.#paint();
   }
 
   #paint() {
-    this.particles.setPlain(this.#colour("--particle"));
+    this.particles.setPlain(LOOKS[this.look].color);
     this.ghost.setPlain(this.#colour("--ghost"));
-    const surface = this.surface?.material;
-    surface?.color.set(surface.vertexColors ? "white" : this.#colour("--particle"));
     this.wireframe?.material.color.set(this.#colour("--edge"));
     this.draw();
   }
@@ -415,29 +560,6 @@ export class Viewer {
     this.controls.enableDamping = damping;
     this.#silent = false;
   }
-
-  #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const { controls } = this;
-    const by = event.shiftKey
-      ? (x, y) => controls.pan(PAN_PIXELS * x, PAN_PIXELS * y)
-      : (x, y) => (controls.rotateLeft(TURN * x), controls.rotateUp(TURN * y));
-    const actions = {
-      ArrowLeft: () => by(1, 0),
-      ArrowRight: () => by(-1, 0),
-      ArrowUp: () => by(0, 1),
-      ArrowDown: () => by(0, -1),
-      "+": () => controls.dollyIn(ZOOM),
-      "=": () => controls.dollyIn(ZOOM),
-      "-": () => controls.dollyOut(ZOOM),
-      0: () => this.reset(),
-      Home: () => this.reset(),
-    };
-    if (!actions[event.key]) return;
-    event.preventDefault();
-    this.#quietly(actions[event.key]);
-    this.#moved();
-  }
 }
 
 /** Colours of vertices, linear as the lights need them, shape [vertices, 3] in 0..1. */
@@ -473,7 +595,7 @@ let drawsOnProcessor;
 function freshCanvas() {
   const canvas = document.createElement("canvas");
   if (drawsOnProcessor === undefined) {
-    const gl = canvas.getContext("webgl2", { antialias: false });
+    const gl = canvas.getContext("webgl2", { antialias: false, stencil: true });
     const info = gl?.getExtension("WEBGL_debug_renderer_info");
     drawsOnProcessor = SOFTWARE.test(gl?.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
     if (!drawsOnProcessor) {
@@ -492,4 +614,11 @@ function reach(positions, { x, y, z }) {
     if (square > farthest) farthest = square;
   }
   return Math.sqrt(farthest);
+}
+
+/** How far down particles reach along the upward axis [grid units]. */
+function lowest(positions, up) {
+  let least = Infinity;
+  for (let i = up === "z" ? 2 : 1; i < positions.length; i += 3) if (positions[i] < least) least = positions[i];
+  return least;
 }

@@ -1,5 +1,4 @@
 /** Two to four jobs side by side: one camera, one time, one scale of colours. */
-import "../../viewer/viewer.css";
 import "../../charts/charts.css";
 import "./compare.css";
 
@@ -11,6 +10,7 @@ import { problemNotice } from "../../problem_notice.js";
 import { COLOURS } from "../../viewer/colors.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
+import { stage } from "../../viewer/stage.js";
 import { Timeline } from "../../viewer/timeline.js";
 import { follow } from "./follow.js";
 import { Links } from "./links.js";
@@ -35,6 +35,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
   const rows = ids.map(() => []);
   const links = new Links();
   const display = new Display({
+    open: false,
     onChange: async (state) => {
       const turned = links.panels.some((panel) => panel.display.up !== state.up);
       await Promise.all(links.panels.map((panel) => panel.setDisplay(state)));
@@ -47,60 +48,68 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       signal,
       display: display.state,
       onView: (view) => links.look(panel, view),
+      onQuality: (names) => display.tell(names),
       sharedRange: () => links.range(),
       onArrival: () => settle(),
     });
     panel.metrics = (index) => rows[i][index] ?? null;
+    panel.grows = lives(jobs[i].state);
     panel.frames.grow(jobs[i].progress.frame);
     panel.open();
     return links.add(panel);
   });
   const timeline = new Timeline({
     signal,
-    show: async (index) => {
+    show: async (index, how) => {
       overlay.setFrame(index);
-      await Promise.all(
-        panels.map((panel) => showIn(panel, index)),
-      );
+      await Promise.all(panels.map((panel) => showIn(panel, index, how)));
+    },
+    between: (share) => {
+      for (const panel of panels) if (panel.index === timeline.index) panel.between(share);
     },
   });
-  const showIn = (panel, index) => {
+  const showIn = (panel, index, how) => {
     const { known } = panel.frames;
-    return known > 0 && index >= 0 ? panel.show(Math.min(index, known - 1)) : null;
+    return known > 0 && index >= 0 ? panel.show(Math.min(index, known - 1), how) : null;
   };
   const differences = h("div");
-  const heads = jobs.map(() => h("div", { class: "compare-head" }));
+  const heads = jobs.map(() => h("div", { class: "compare-head floating" }));
+  const views = h(
+    "div",
+    { class: `compare-views of-${ids.length}` },
+    panels.map((panel, i) => h("section", { "aria-label": jobName(jobs[i]) }, heads[i], panel.element)),
+  );
+  const metrics = [
+    h("h2", null, "Metrics"),
+    h("p", { class: "quiet small" }, "Differences are to the first job; the best of each row is bold."),
+    differences,
+  ];
+  const sheets = [
+    { name: "metrics", title: "Metrics", content: metrics },
+    { name: "curves", title: "Curves", content: [h("h2", { class: "visually-hidden" }, "Curves"), overlay.element] },
+  ];
   fill(
     root,
-    h(
-      "div",
-      { class: "stack compare" },
-      h("h1", null, "Compare"),
-      h(
-        "div",
-        { class: `compare-views of-${ids.length}` },
-        panels.map((panel, i) => h("section", { class: "stack", "aria-label": jobName(jobs[i]) }, heads[i], panel.element)),
-      ),
-      timeline.element,
-      display.element,
-      h(
-        "div",
-        { class: "row" },
-        h("button", { type: "button", class: "compact", on: { click: () => links.reset() } }, "Reset view"),
-      ),
-      h("h2", null, "Metrics"),
-      h("p", { class: "quiet small" }, "Differences are to the first job; the best of each row is bold."),
-      differences,
-      h("h2", null, "Curves"),
-      overlay.element,
-    ),
+    stage({
+      headline: h("h1", { class: "visually-hidden" }, "Compare"),
+      views,
+      panel: panels[0],
+      frameAll: () => links.reset(),
+      display,
+      timeline,
+      sheets,
+      signal,
+    }),
   );
 
   const draw = () => {
     fill(differences, table(jobs));
     overlay.set(jobs, rows);
     overlay.setFrame(timeline.index);
-    jobs.forEach((job, i) => head(heads[i], job, i));
+    jobs.forEach((job, i) => {
+      head(heads[i], job, i);
+      panels[i].grows = lives(job.state);
+    });
     const longest = Math.max(...panels.map((panel) => panel.frames.known));
     timeline.grow(longest, jobs.some((job) => lives(job.state)));
   };

@@ -1,5 +1,4 @@
 /** One job: its shape in 3D over time, its curves, what happened, its settings and files. */
-import "../../viewer/viewer.css";
 import "../../charts/charts.css";
 import "./job.css";
 
@@ -8,10 +7,11 @@ import { Problem, get } from "../../api.js";
 import { Curves } from "../../charts/curves.js";
 import { fill, h } from "../../dom.js";
 import { jobFileName, jobName, lives, state as word } from "../../format.js";
-import { go, setTitle } from "../../navigation.js";
+import { go, query, setQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
+import { stage } from "../../viewer/stage.js";
 import { Timeline } from "../../viewer/timeline.js";
 import { Downloads } from "./downloads.js";
 import { History } from "./history.js";
@@ -20,19 +20,29 @@ import { settings } from "./settings.js";
 import { Summary } from "./summary.js";
 import { Watch } from "./watch.js";
 
+const FRAME = "frame"; // in the address: the one shown, from 1
+const QUIET_MILLISECONDS = 300; // after which a frame that one stays at goes into the address
+
 /** Show the job with the id of the address. */
 export async function show(root, { id }, signal) {
   setTitle("Job");
   const ending = new AbortController(); // when the job has gone
   const there = AbortSignal.any([signal, ending.signal]);
   const display = new Display({ onChange: (state) => panel.setDisplay(state) });
-  const panel = new Panel(id, { signal: there, display: display.state });
+  const onQuality = (names) => display.tell(names);
+  const panel = new Panel(id, { signal: there, display: display.state, onQuality });
   const curves = new Curves({ onSeek: (index) => timeline.choose(index), signal: there });
+  let resting = 0;
   const timeline = new Timeline({
     signal: there,
-    show: (index) => {
+    show: (index, how) => {
       curves.setFrame(index);
-      return panel.show(index);
+      return panel.show(index, how);
+    },
+    between: (share) => panel.between(share),
+    onRest: (index) => {
+      clearTimeout(resting);
+      resting = setTimeout(() => signal.aborted || setQuery(FRAME, index === null ? null : index + 1), QUIET_MILLISECONDS);
     },
   });
   const summary = new Summary({ changed: () => changed(), signal });
@@ -41,13 +51,24 @@ export async function show(root, { id }, signal) {
   const rows = new Map();
   panel.metrics = (index) => rows.get(index) ?? null;
 
+  /** The frame of the address, or the first one of what is done already; else the newest, whichever that is. */
+  const begin = ({ state, progress }) => {
+    if (!progress.frame || (lives(state) && !query(FRAME))) return;
+    const index = Math.min(Math.max(Number(query(FRAME)) || 1, 1), progress.frame) - 1;
+    timeline.following = false;
+    panel.frames.look(index);
+    grow(progress.frame);
+    timeline.go(index);
+  };
   let known = null;
   const onJob = (job) => {
     setTitle(jobName(job));
+    if (known === null) begin(job);
     if (known && known !== job.state) announce(`The job is ${word(job.state).toLowerCase()}.`);
     known = job.state;
     summary.update(job);
     downloads.update(job);
+    panel.grows = lives(job.state);
     history.set({ job });
     panel.total = job.progress.frames;
     if (["preparing", "computing"].includes(job.progress.stage)) panel.showSource();
@@ -101,27 +122,20 @@ export async function show(root, { id }, signal) {
   panel.open();
   const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
+  const sheets = [
+    { name: "overview", title: "Overview", content: [summary.element, history.element] },
+    {
+      name: "curves",
+      title: "Curves",
+      content: [h("h2", { class: "visually-hidden" }, "Curves"), curves.element],
+    },
+    { name: "settings", title: "Settings", content: [aside] },
+    { name: "files", title: "Files", content: [pictures({ panel, timeline, name, signal }), downloads.element] },
+  ];
+  const frameAll = async () => (await panel.viewer)?.reset();
   fill(
     root,
-    h(
-      "div",
-      { class: "job stack" },
-      summary.element,
-      h(
-        "div",
-        { class: "job-main" },
-        h(
-          "section",
-          { class: "stack looking", "aria-label": "Viewer" },
-          panel.element,
-          timeline.element,
-          display.element,
-          pictures({ panel, timeline, name, signal }),
-        ),
-        h("section", { class: "stack", "aria-labelledby": "curves" }, h("h2", { id: "curves" }, "Curves"), curves.element),
-      ),
-      h("div", { class: "job-more" }, h("div", { class: "stack" }, downloads.element, history.element), aside),
-    ),
+    stage({ headline: summary.headline, views: panel.element, panel, frameAll, display, timeline, sheets, signal: there }),
   );
   watch.run().catch(gone);
   try {

@@ -32,6 +32,7 @@ export function pictures({ panel, timeline, name, signal }) {
         if (!signal.aborted) saveBlob(recorded, `${name()}-${suffix}.webm`);
       } finally {
         recording = null;
+        timeline.rest();
         button.textContent = label;
         for (const other of others) other.disabled = false;
       }
@@ -47,32 +48,24 @@ export function pictures({ panel, timeline, name, signal }) {
     return { advance, seconds: TURN_SECONDS };
   };
   const trajectory = () => ({
-    advance: async (share) => {
-      const index = Math.round(share * (timeline.count - 1));
-      if (index !== timeline.index) await timeline.go(index);
-    },
+    advance: (share) => timeline.at(share * (timeline.count - 1)),
     seconds: Math.max(1, timeline.count / Number(timeline.rate.value)),
   });
+  const picture = async () => {
+    const viewer = await panel.viewer;
+    if (viewer) saveBlob(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
+  };
   const element = h(
-    "div",
-    { class: "row pictures", role: "group", "aria-label": "Camera and pictures" },
-    h("button", { type: "button", class: "compact", on: { click: async () => (await panel.viewer)?.reset() } }, "Reset view"),
+    "section",
+    { class: "stack", "aria-labelledby": "pictures" },
+    h("h2", { id: "pictures" }, "Pictures"),
     h(
-      "button",
-      {
-        type: "button",
-        class: "compact",
-        on: {
-          click: async () => {
-            const viewer = await panel.viewer;
-            if (viewer) saveBlob(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
-          },
-        },
-      },
-      "Picture, PNG",
+      "div",
+      { class: "row" },
+      h("button", { type: "button", class: "compact", on: { click: picture } }, "Picture, PNG"),
+      canRecord() && film("Film of the frames, WebM", "frames", trajectory),
+      canRecord() && film("Turntable, WebM", "turntable", turntable),
     ),
-    canRecord() && film("Film of the frames, WebM", "frames", trajectory),
-    canRecord() && film("Turntable, WebM", "turntable", turntable),
   );
   return element;
 }

@@ -1,4 +1,4 @@
-/** The head of a job's page: what it is, how far it has come, what may be done with it. */
+/** A job in words: what it is, how far it has come, how good it is, what may be done with it. */
 import { announce } from "../../announce.js";
 import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
@@ -18,7 +18,7 @@ const METRICS = [
   ["iou", "Volume overlap", ""],
 ];
 
-/** Draws a job; what has not changed is left alone, so that the focus stays. */
+/** `headline` and `element`, the rest; what has not changed is left alone, so that the focus stays. */
 export class Summary {
   /** @param {{changed: () => Promise<void>, signal: AbortSignal}} options */
   constructor({ changed, signal }) {
@@ -27,13 +27,21 @@ export class Summary {
     const part = (name) => (this[name] = h("div", { class: name }));
     this.heading = h("h1");
     this.notice = h("p", { class: "notice warn small", hidden: true });
-    this.element = h(
+    this.headline = h(
       "header",
-      { class: "summary" },
-      h("div", { class: "spread" }, h("div", null, this.heading, part("facts")), part("buttons")),
+      { class: "summary headline floating" },
+      this.heading,
       part("standing"),
       part("trouble"),
       this.notice,
+    );
+    this.element = h(
+      "section",
+      { class: "overview", "aria-labelledby": "overview" },
+      h("h2", { id: "overview" }, "Overview"),
+      part("facts"),
+      part("figures"),
+      part("buttons"),
     );
   }
 
@@ -64,6 +72,7 @@ export class Summary {
       ),
     ]);
     this.#part("standing", [state, progress, job.queue_position], () => standing(job));
+    this.#part("figures", [job.outcome, progress.metrics], () => figures(job));
     this.#part("trouble", [job.problem], () => job.problem && problemOf(job));
   }
 
@@ -138,26 +147,31 @@ function standing(job) {
   if (state === "succeeded" && job.started_at) {
     words.push(`in ${duration((new Date(job.finished_at) - new Date(job.started_at)) / 1000)}`);
   }
-  const metrics = job.outcome?.metrics ?? progress.metrics;
-  const known = METRICS.filter(([name]) => name in metrics);
   return [
-    h("p", { class: "row words" }, words.map((text) => h("span", null, text))),
+    h("p", { class: "row words small" }, words.map((text) => h("span", null, text))),
     lives(state) &&
       h("progress", { max: progress.frames, value: progress.frame, "aria-label": "Finished frames" }),
+  ];
+}
+
+function figures({ outcome, progress }) {
+  const metrics = outcome?.metrics ?? progress.metrics;
+  const known = METRICS.filter(([name]) => name in metrics);
+  return (
     known.length > 0 &&
-      h(
-        "dl",
-        { class: "figures" },
-        known.map(([name, label, unit]) =>
-          h(
-            "div",
-            null,
-            h("dt", { class: "quiet small" }, label),
-            h("dd", null, number(metrics[name], 3), unit && h("span", { class: "quiet small" }, ` ${unit}`)),
-          ),
+    h(
+      "dl",
+      { class: "numbers" },
+      known.map(([name, label, unit]) =>
+        h(
+          "div",
+          null,
+          h("dt", { class: "quiet small" }, label),
+          h("dd", null, number(metrics[name], 3), unit && h("span", { class: "quiet small" }, ` ${unit}`)),
         ),
       ),
-  ];
+    )
+  );
 }
 
 function place(position) {

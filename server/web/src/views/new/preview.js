@@ -5,6 +5,7 @@ import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
 import { problemNotice } from "../../problem_notice.js";
 import { upright } from "../../viewer/display.js";
+import { bindKeys, cameraKeys } from "../../viewer/keys.js";
 
 const PATIENCE = 250; // [ms] of quiet before particles are asked for
 
@@ -21,6 +22,17 @@ export class Preview {
     this.count = h("p", { class: "count small quiet", role: "status" });
     this.warnings = h("div", { class: "stack" });
     this.asking = new AbortController();
+    const steer = (move) => this.viewer?.steer(move);
+    const keys = {
+      ...cameraKeys(steer),
+      ArrowLeft: () => steer({ turn: [1, 0] }),
+      ArrowRight: () => steer({ turn: [-1, 0] }),
+      ArrowUp: () => steer({ turn: [0, 1] }),
+      ArrowDown: () => steer({ turn: [0, -1] }),
+      Home: () => this.viewer?.reset(),
+      0: () => this.viewer?.reset(),
+    };
+    bindKeys(keys, { signal, element: this.scene });
     signal.addEventListener("abort", () => {
       this.asking.abort();
       this.viewer?.dispose();
