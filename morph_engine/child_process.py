@@ -11,6 +11,9 @@ from pathlib import Path
 
 NICENESS = 10
 
+SECRET_PREFIXES = ("MORPH_", "AWS_", "PG")
+"""Beginnings of variables that may hold passwords, of service, object store and database."""
+
 _RUN_MODULE = (
     "import sys; del sys.argv[0]; sys.path[:1] == [''] and sys.path.pop(0); "
     "import runpy; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
@@ -27,6 +30,13 @@ def python_command(module: str, *arguments: str) -> list[str]:
         return [sys.executable, "-P", "-m", module, *arguments]
     else:  # has no such option
         return [sys.executable, "-c", _RUN_MODULE, module, *arguments]
+
+
+def environment_without_secrets() -> dict[str, str]:
+    """The variables of this process for a child that reads what strangers have sent."""
+    return {
+        name: value for name, value in os.environ.items() if not name.startswith(SECRET_PREFIXES)
+    }
 
 
 def exit_with_parent(status: int) -> None:

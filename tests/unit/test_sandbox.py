@@ -106,6 +106,15 @@ def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture
     assert "the reason" in caplog.text and len(caplog.text) < 20_000
 
 
+def test_a_child_knows_no_passwords(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the database's nor the object store's are in its environment."""
+    monkeypatch.setenv("MORPH_DATABASE_URL", "postgresql://morph:secret@host/morph")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
+    monkeypatch.setenv("PGPASSWORD", "secret")
+    code = "import os; answer = Answer([n for n, v in os.environ.items() if 'secret' in v])"
+    assert run(code, Limits(1 << 30, 60)).value == []
+
+
 def test_a_child_ends_with_its_parent() -> None:
     """Even if the parent is killed while the child computes."""
     with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE) as parent:

@@ -16,7 +16,7 @@ import psutil
 from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
 from chamfer_morph.worker.job import JobSpec
-from morph_engine.child_process import python_command
+from morph_engine.child_process import environment_without_secrets, python_command
 
 
 class Engine:
@@ -51,7 +51,7 @@ class Engine:
         self._process = subprocess.Popen(
             python_command("chamfer_morph.worker.engine_process", *arguments),
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
-            bufsize=0, start_new_session=True,
+            bufsize=0, start_new_session=True, env=environment_without_secrets(),
         )  # fmt: skip
         self.pid: int = self._process.pid
         assert self._process.stdin is not None

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import signal
 import subprocess
 import threading
@@ -22,7 +21,11 @@ from typing import IO, Any
 from pydantic_core import to_json
 
 from chamfer_morph.worker.exit_codes import ExitCode
-from morph_engine.child_process import describe_exit, python_command
+from morph_engine.child_process import (
+    describe_exit,
+    environment_without_secrets,
+    python_command,
+)
 from morph_engine.errors import MorphError, ResourceError, ResultError
 
 MAX_THREADS = 4
@@ -146,7 +149,7 @@ def run(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=os.environ | _environment(limits),
+        env=environment_without_secrets() | _environment(limits),
         start_new_session=True,
     )
     assert process.stdin is not None and process.stderr is not None
