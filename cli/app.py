@@ -18,7 +18,7 @@ _MODULES = {
     "measurement": ("inspect", "metrics"),
     "benchmarks": ("bench",),
     "reproduction": ("reproduce",),
-    "exports": ("export", "render"),
+    "exports": ("export", "view", "render"),
     "jobs": ("submit", "jobs", "show", "watch", "cancel", "retry", "resume", "delete", "fetch"),
     "sweeps": ("sweep",),
     "processes": ("serve", "worker"),

@@ -65,12 +65,12 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help="ply, obj, glb, stl, usd, npz, csv, mp4 or gif; by the file's ending if not given."
+            help="ply, obj, glb, stl, usd, npz, csv, html, mp4, gif; by the ending if absent."
         ),
     ] = None,
     tracked: Annotated[
         bool,
-        typer.Option("--tracked", help="One mesh through all frames, animated: .glb or .usdc."),
+        typer.Option("--tracked", help="One mesh through all frames: .glb, .usdc or .html."),
     ] = False,
     fps: Annotated[
         float | None,
@@ -114,6 +114,43 @@ def export(
             watch=show_progress,
             tell=notes.append,
         )
+
+
+@app.command(rich_help_panel=PANEL)
+@expand_groups
+def view(
+    result: ResultArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Keep the page in this file; a temporary one if absent."),
+    ] = None,
+    *,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
+    ] = True,
+    frames: Annotated[
+        str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
+    ] = None,
+    surface: Annotated[
+        bool, typer.Option("--surface", help="With the surface, which takes a minute or two.")
+    ] = False,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
+    service: ServiceOptions,
+) -> None:
+    """Look at a result in a browser: one file with a viewer, which needs no network."""
+    import webbrowser
+
+    from morph_engine import export as exports
+
+    place = out or Path(tempfile.mkdtemp(prefix="morph-")) / f"{Path(result).stem}.html"
+    selection = SelectionOptions(frames=frames, force=force, quiet=quiet)
+    with _written_file(result, place, selection, service, [], format="html") as (path, progress):
+        exports.export(
+            path, place, "html", frames=parse_frames(frames), tracked=surface, watch=progress
+        )
+    if browser:
+        webbrowser.open(place.absolute().as_uri())
 
 
 @app.command(rich_help_panel=PANEL)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from morph_engine.errors import ConfigError, ResultError, unknown_name
-from morph_engine.export import csv, glb, npz, obj, ply, stl, usd, video
+from morph_engine.export import csv, glb, html, npz, obj, ply, stl, usd, video
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
@@ -20,7 +20,16 @@ from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
 
-_ALL = (ply.FORMAT, obj.FORMAT, glb.FORMAT, stl.FORMAT, usd.FORMAT, npz.FORMAT, csv.FORMAT)
+_ALL = (
+    ply.FORMAT,
+    obj.FORMAT,
+    glb.FORMAT,
+    stl.FORMAT,
+    usd.FORMAT,
+    npz.FORMAT,
+    csv.FORMAT,
+    html.FORMAT,
+)
 
 FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, video.MP4, video.GIF)}
 

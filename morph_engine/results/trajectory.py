@@ -339,6 +339,12 @@ class Trajectory:
         """Close the file; arrays already read stay."""
         self._file.close()
 
+    def _repr_html_(self) -> str | None:
+        """What a notebook displays: a viewer with some of the particles, which can be turned."""
+        from morph_engine.export.html import embedded
+
+        return embedded(self)
+
     def __len__(self) -> int:
         return self.frame_count
 

@@ -42,6 +42,7 @@ MEDIA_TYPES = (
     "model/stl",
     "model/vnd.usd",
     "text/csv",
+    "text/html",
     "video/mp4",
 )
 """What `morph_engine.export.FORMATS` names, which takes a second to import."""

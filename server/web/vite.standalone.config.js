@@ -1,0 +1,11 @@
+import { defineConfig } from "vite";
+
+// One script and one style sheet, which Python puts into files that are opened without a service.
+export default defineConfig({
+  build: {
+    target: "es2022",
+    outDir: "../../morph_engine/export/viewer",
+    emptyOutDir: true,
+    lib: { entry: "src/standalone/standalone.js", name: "morph", formats: ["iife"], fileName: () => "viewer.js", cssFileName: "viewer" },
+  },
+});
