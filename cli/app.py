@@ -19,12 +19,15 @@ _MODULES = {
     "benchmarks": ("bench",),
     "reproduction": ("reproduce",),
     "exports": ("export", "view", "render"),
-    "jobs": ("submit", "jobs", "show", "watch", "cancel", "retry", "resume", "delete", "fetch"),
+    "jobs": (
+        "submit", "jobs", "show", "watch", "next", "cancel", "retry", "resume", "delete", "fetch",
+    ),
+    "queue": ("queue",),
     "sweeps": ("sweep",),
     "processes": ("serve", "worker"),
     "doctor": ("doctor",),
     "service": ("keys", "workers"),
-}
+}  # fmt: skip
 
 COMMANDS = {name: module for module, names in _MODULES.items() for name in names}
 """The module of each command, in the order of the help."""

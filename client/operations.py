@@ -36,6 +36,7 @@ from chamfer_morph.schemas import (
     MeshShape,
     NewKey,
     ParticleField,
+    QueueStatus,
     Resource,
     Shape,
     SurfaceFormat,
@@ -208,6 +209,11 @@ class Operations:
         return await self._post(Job, "jobs", job_id, "cancel", repeatable=True)
 
     @operation
+    async def put_first(self, job_id: str) -> Job:
+        """Start a queued job before all others of its owner."""
+        return await self._post(Job, "jobs", job_id, "next", repeatable=True)
+
+    @operation
     async def resume(self, job_id: str) -> Job:
         """Let a job that did not succeed go on after its last finished frame."""
         return await self._post(Job, "jobs", job_id, "resume")
@@ -236,6 +242,21 @@ class Operations:
         async for _ in follow(self._connection, _path("jobs", job_id, "events"), after=0):
             pass
         return await self._get(Job, "jobs", job_id, wait_for_service=True)
+
+    @operation
+    async def queue(self) -> QueueStatus:
+        """How many of your jobs wait and run, and whether you have paused them."""
+        return await self._get(QueueStatus, "queue")
+
+    @operation
+    async def pause_queue(self) -> QueueStatus:
+        """Start no more of your jobs; those that run go on."""
+        return await self._post(QueueStatus, "queue", "pause", repeatable=True)
+
+    @operation
+    async def unpause_queue(self) -> QueueStatus:
+        """Start your jobs again, as if they were submitted now."""
+        return await self._post(QueueStatus, "queue", "unpause", repeatable=True)
 
     # results
 

@@ -9,6 +9,7 @@ from chamfer_morph.schemas.jobs import Job, JobPage, JobRequest, JobState, Outco
 from chamfer_morph.schemas.keys import Key, KeyRequest, NewKey
 from chamfer_morph.schemas.meshes import Mesh, MeshPage
 from chamfer_morph.schemas.problems import Problem, ProblemDocument
+from chamfer_morph.schemas.queue import QueueStatus
 from chamfer_morph.schemas.shapes import BuiltInShape, MeshShape, Shape
 from chamfer_morph.schemas.sweeps import Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.types import (
@@ -49,6 +50,7 @@ __all__ = [
     "Problem",
     "ProblemDocument",
     "Progress",
+    "QueueStatus",
     "Resource",
     "Scope",
     "Sha256",

@@ -109,8 +109,9 @@ class Job(BaseModel):
     finished_at: datetime | None
     progress: Progress
     queue_position: int | None = Field(
-        description="Jobs to be started before it; null unless queued."
+        description="Jobs to be started before it; null unless queued, and while paused."
     )
+    paused: bool = Field(False, description="Whether it waits until its owner ends a pause.")
     outcome: Outcome | None = Field(description="Once it has succeeded.")
     problem: Problem | None = Field(description="Once it has failed or timed out.")
 

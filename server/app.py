@@ -26,6 +26,7 @@ from chamfer_morph.server.routes import (
     keys,
     meshes,
     particles,
+    queue,
     results,
     surfaces,
     sweeps,
@@ -43,7 +44,7 @@ Every error is an RFC 9457 problem with the cause in `detail` and what to do abo
 
 ROUTERS = (
     meshes, jobs, results, job_shapes, fields, surfaces, thumbnails, exports, events, sweeps,
-    catalog, particles, keys, workers,
+    catalog, particles, queue, keys, workers,
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from chamfer_morph.schemas import JobState
 
-Action = Literal["cancel", "resume", "retry", "delete"]
+Action = Literal["cancel", "next", "resume", "retry", "delete"]
 
 _BY_STATUS = {
     "DELAYED": JobState.QUEUED,
@@ -19,7 +19,7 @@ _BY_STATUS = {
 }
 
 _ACTIONS: dict[JobState, frozenset[Action]] = {
-    JobState.QUEUED: frozenset({"cancel"}),
+    JobState.QUEUED: frozenset({"cancel", "next"}),
     JobState.RUNNING: frozenset({"cancel"}),
     JobState.SUCCEEDED: frozenset({"retry", "delete"}),
     JobState.FAILED: frozenset({"resume", "retry", "delete"}),

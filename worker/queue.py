@@ -34,21 +34,24 @@ from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state, statuses
+from chamfer_morph.worker.own_queue import (
+    ENQUEUED,
+    NOBODY,
+    PAUSED_QUEUE,
+    QUEUE,
+    WORKFLOW,
+    OwnQueue,
+)
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import StoreUnavailableError, open_storage
 
 APPLICATION = "morph"
 APPLICATION_VERSION = "1"
-WORKFLOW = "morph"
-QUEUE = "jobs"
 RECORD_CACHE_SIZE = 4096
 """Jobs that a process remembers as it read them last."""
 
 PAGE = 1000
 """Jobs read at once."""
-
-NOBODY = "-"
-"""Owner of jobs submitted without a key."""
 
 UNREADABLE = Problem(
     cause="What the job has reported cannot be read.",
@@ -56,9 +59,7 @@ UNREADABLE = Problem(
     kind="internal",
 )
 
-_ENQUEUED: sa.ColumnElement[str] = sa.literal_column("'ENQUEUED'")
 _PENDING: sa.ColumnElement[str] = sa.literal_column("'PENDING'")
-"""Not as parameters, for which SQLite uses no partial index."""
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -79,6 +80,7 @@ class JobRecord:
         name: The user's name for it.
         sweep: The sweep it belongs to, if any.
         priority: Smaller runs earlier among the owner's jobs.
+        paused: Whether it waits until its owner ends a pause.
         attributes: Everything that was attached to it.
         created_at, started_at, finished_at: Times in UTC, None while still to come.
         executor: The worker slot that runs it or ran it last.
@@ -93,6 +95,7 @@ class JobRecord:
     name: str
     sweep: str | None
     priority: int
+    paused: bool
     attributes: dict[str, Any]
     created_at: datetime
     started_at: datetime | None
@@ -123,12 +126,14 @@ class JobQueue:
         )
         self._workflows = WorkflowTable(self._client, settings)
         self._rows = self._workflows.rows
+        self._own = OwnQueue(self._workflows)
         self._cache: dict[str, tuple[list[Any], JobRecord | None]] = {}
 
     def migrate(self) -> None:
         """Create or upgrade the tables and the queue; harmless to repeat."""
         migrate(self._settings)
         self._workflows.create_indexes()
+        self._own.create_table()
         self._client.register_queue(
             QUEUE,
             worker_concurrency=1,
@@ -156,11 +161,12 @@ class JobQueue:
         Returns:
             False if the id is taken.
         """
+        queue = self._own.queue_of(owner or NOBODY)
         try:
             self._client.enqueue(
                 {
                     "workflow_name": WORKFLOW,
-                    "queue_name": QUEUE,
+                    "queue_name": queue,
                     "workflow_id": job_id,
                     "workflow_id_reuse_policy": "reject",
                     "app_version": APPLICATION_VERSION,
@@ -174,7 +180,8 @@ class JobQueue:
             )
         except dbos_error.DBOSWorkflowIDInUseError:
             return False
-        self._order_by_priority(owner, priority)
+        self._settle(owner, queue)
+        self._own.order_by_priority(owner or NOBODY, priority)
         self.wake_workers()
         return True
 
@@ -184,6 +191,29 @@ class JobQueue:
             self._workflows.notify(CHANNEL)
         except sa.exc.DBAPIError:  # what is queued is queued
             log.warning("idle workers could not be told of a job", exc_info=True)
+
+    def is_paused(self, owner: str) -> bool:
+        """Whether no more jobs of an owner are started."""
+        return self._own.is_paused(owner or NOBODY)
+
+    def pause(self, owner: str) -> None:
+        """Start no more jobs of an owner, until `unpause`; those that run go on."""
+        self._own.pause(owner or NOBODY)
+
+    def unpause(self, owner: str) -> None:
+        """Start jobs of an owner again; they take places as if they were queued now."""
+        self._own.unpause(owner or NOBODY, self._next_place(owner))
+        self.wake_workers()
+
+    def put_first(self, job_id: str) -> None:
+        """Start a queued job before all others of its owner.
+
+        Raises:
+            JobChangedError: It is not queued, or not there, any more.
+        """
+        job = self.get(job_id)
+        if job is None or not self._own.put_first(job.owner or NOBODY, job_id):
+            raise JobChangedError("The job is not queued any more.")
 
     def get(self, job_id: str) -> JobRecord | None:
         """A job, or None where there is none of that id, or its row cannot be read."""
@@ -269,14 +299,12 @@ class JobQueue:
     def waiting_since(self) -> datetime | None:
         """When the job that waits longest came into the queue; None where none waits."""
         c = self._table.c
-        query = self._select(sa.func.min(c.updated_at)).where(
-            self._in_flight, c.status == _ENQUEUED
-        )
+        query = self._select(sa.func.min(c.updated_at)).where(self._in_flight, c.status == ENQUEUED)
         return _time(self._rows(query)[0][0])
 
     def unfinished(self, owner: str) -> int:
         """Number of jobs of an owner that are queued or running."""
-        query = self._select(sa.func.count()).where(self._in_flight, self._and_owned_by(owner))
+        query = self._select(sa.func.count()).where(self._unfinished, self._and_owned_by(owner))
         return int(self._rows(query)[0][0])
 
     def finished(self, after: tuple[int, str], limit: int) -> list[tuple[str, str, int]]:
@@ -322,16 +350,18 @@ class JobQueue:
         """Ids of an owner's jobs that are not finished, or have finished after a time [ms]."""
         c, mine = self._table.c, self._and_owned_by(owner)
         queries = (
-            self._select(c.workflow_uuid).where(self._in_flight, mine),
+            self._select(c.workflow_uuid).where(self._unfinished, mine),
             self._select(c.workflow_uuid).where(c.completed_at > after, mine),
         )
         return [job for query in queries for (job,) in self._rows(query)]
 
     def position(self, job_id: str) -> int | None:
-        """Jobs that start before a queued one; None if it is not queued."""
+        """Jobs that start before a queued one; None if it is not queued, or paused."""
         c = self._table.c
-        waiting = c.status == _ENQUEUED
-        query = self._select(c.priority, c.created_at).where(waiting, c.workflow_uuid == job_id)
+        waiting = c.status == ENQUEUED
+        query = self._select(c.priority, c.created_at).where(
+            self._in_flight, waiting, c.workflow_uuid == job_id
+        )
         found = self._rows(query)
         if not found:
             return None
@@ -363,7 +393,10 @@ class JobQueue:
         Raises:
             JobChangedError: It is not finished, or not there, any more.
         """
-        mark = self._storage.mark_for_discard(job_id)
+        try:
+            mark = self._storage.mark_for_discard(job_id)
+        except FileNotFoundError as error:  # its folder has gone at this moment
+            raise JobChangedError("The job is being deleted.") from error
         try:
             self._rewind(job_id)
         except JobChangedError:
@@ -400,18 +433,27 @@ class JobQueue:
         self._engine.dispose()
 
     def _rewind(self, job_id: str) -> None:
+        job = self.get(job_id)
+        owner = job.owner if job else ""
+        queue = self._own.queue_of(owner or NOBODY)
         try:
             self._client.rewind_workflow(
-                job_id, application_version=APPLICATION_VERSION, queue_name=QUEUE
+                job_id, application_version=APPLICATION_VERSION, queue_name=queue
             )
         except dbos_error.DBOSException as error:
             raise JobChangedError(str(error)) from error
+        self._settle(owner, queue)
         self.wake_workers()
+
+    def _settle(self, owner: str, queue: str) -> None:
+        """See that a job that was just queued waits where its owner's jobs do by now."""
+        if self._own.queue_of(owner or NOBODY) != queue:
+            self._own.settle(owner or NOBODY)
 
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
         c = self._table.c
-        queued, running = c.status == _ENQUEUED, c.status == _PENDING
+        queued, running = c.status == ENQUEUED, c.status == _PENDING
         last = self._select(sa.func.max(c.priority)).where(self._in_flight)
         query = sa.select(
             last.where(self._and_owned_by(owner)).scalar_subquery(),
@@ -423,33 +465,6 @@ class JobQueue:
         own, started, waiting = self._rows(query)[0]
         return 1 + max(own or 0, started if started is not None else waiting or 0)
 
-    def _order_by_priority(self, owner: str, newest: int) -> None:
-        """Give an owner's queued jobs their places in the order of the owner's priorities.
-
-        Args:
-            owner: The owner.
-            newest: Priority of the job queued last; only if it goes before another one is there
-                anything to do.
-        """
-        c = self._table.c
-        priority = c.attributes["priority"].as_integer()
-        query = self._select(c.workflow_uuid, c.priority, priority).where(
-            self._and_owned_by(owner), self._in_flight, c.status == _ENQUEUED
-        )
-        if not self._rows(query.where(priority > newest).limit(1)):
-            return
-        jobs = self._rows(query.order_by(c.created_at, c.workflow_uuid))
-        places = sorted(place for _, place, _ in jobs)
-        wanted = sorted(jobs, key=lambda job: job[2])
-        with self._workflows.begin() as connection:
-            for (job_id, place, _), better in zip(wanted, places, strict=True):
-                if place != better:
-                    connection.execute(
-                        sa.update(self._table)
-                        .where(c.workflow_uuid == job_id, c.status == "ENQUEUED")
-                        .values(priority=better)
-                    )
-
     @cached_property
     def _version(self) -> sa.Select[Any]:
         """The query for one job, `job`."""
@@ -459,7 +474,7 @@ class JobQueue:
     def _versions(self) -> sa.Select[Any]:
         """A query for jobs: their ids, and what changes with every change of their row."""
         c = self._table.c
-        return self._select(c.workflow_uuid, c.status, c.executor_id, c.updated_at)
+        return self._select(c.workflow_uuid, c.status, c.executor_id, c.updated_at, c.queue_name)
 
     def _records(self, rows: Sequence[Sequence[Any]]) -> list[JobRecord]:
         """The jobs of rows of `_versions`; those that have not changed are not read again."""
@@ -469,7 +484,7 @@ class JobQueue:
         changed = [id_ for id_, *v in rows if id_ not in cache or cache[id_][0] != v]
         if changed:
             for status in self._client.list_workflows(workflow_ids=changed, name=WORKFLOW):
-                version = [status.status, status.executor_id, status.updated_at]
+                version = [status.status, status.executor_id, status.updated_at, status.queue_name]
                 cache[status.workflow_id] = version, _record_or_none(status)
         found = (cache[job_id][1] for job_id, *_ in rows if job_id in cache)
         return [record for record in found if record is not None]
@@ -486,7 +501,13 @@ class JobQueue:
     def _in_flight(self) -> sa.ColumnElement[bool]:
         """Whether a job is queued or running, in the words of DBOS's index of these."""
         c = self._table.c
-        return (c.queue_name == QUEUE) & c.status.in_([_ENQUEUED, _PENDING])
+        return (c.queue_name == QUEUE) & c.status.in_([ENQUEUED, _PENDING])
+
+    @property
+    def _unfinished(self) -> sa.ColumnElement[bool]:
+        """The same with the jobs of owners who have paused."""
+        c = self._table.c
+        return c.queue_name.in_([QUEUE, PAUSED_QUEUE]) & c.status.in_([ENQUEUED, _PENDING])
 
     def _owned_by(self, owner: str) -> sa.ColumnElement[bool]:
         return self._table.c.authenticated_user == (owner or NOBODY)
@@ -531,6 +552,7 @@ def _record(status: WorkflowStatus) -> JobRecord:
         name=str(attributes.get("name", "")),
         sweep=attributes.get("sweep"),
         priority=int(attributes.get("priority", 0)),
+        paused=state is JobState.QUEUED and status.queue_name == PAUSED_QUEUE,
         attributes=attributes,
         created_at=_time(status.created_at) or datetime.now(timezone.utc),
         started_at=_time(status.dequeued_at),

@@ -27,6 +27,7 @@ from chamfer_morph.worker.dbos_adapter import (
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.own_queue import QUEUE, WORKFLOW
 from chamfer_morph.worker.publication import patiently, publishing
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import WorkerSlots
@@ -78,15 +79,15 @@ def launch(
         "max_executor_threads": 8,
     }
     DBOS(config=config)
-    look = look_for_jobs_when_woken(queue.QUEUE)
+    look = look_for_jobs_when_woken(QUEUE)
     logging.getLogger("dbos").addFilter(_is_unexpected)
-    DBOS.listen_queues([queue.QUEUE] if listen else [])
+    DBOS.listen_queues([QUEUE] if listen else [])
     DBOS.launch()
     return look
 
 
 @DBOS.workflow(
-    name=queue.WORKFLOW,
+    name=WORKFLOW,
     max_recovery_attempts=MAX_RECOVERIES,
     serialization_type=WorkflowSerializationFormat.PORTABLE,
 )

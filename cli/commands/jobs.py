@@ -149,8 +149,8 @@ def _watch_to_end(client: MorphClient, job: Job, service: ServiceOptions, *, qui
         raise typer.Exit(JOB_FAILED)
 
 
-def _add_command(name: str, help: str) -> None:
-    """Add the command that does with each job what the client's method of its name does.
+def _add_command(name: str, help: str, method: str = "") -> None:
+    """Add the command that does with each job what a method of the client does, by its name.
 
     One that is refused does not keep the others from it; the exit status is 2 then.
     """
@@ -165,7 +165,7 @@ def _add_command(name: str, help: str) -> None:
         with service.connect() as client:
             for job_id in job_ids:
                 try:
-                    job = getattr(client, name)(job_id)
+                    job = getattr(client, method or name)(job_id)
                 except ServiceError as error:
                     if error.exit_status != BAD_INPUT:
                         raise
@@ -186,6 +186,7 @@ def _add_command(name: str, help: str) -> None:
 
 
 _add_command("cancel", "Stop jobs; their finished frames stay.")
+_add_command("next", "Start queued jobs before your others, the last named first.", "put_first")
 _add_command("retry", "Compute finished jobs again from the beginning; what they left is deleted.")
 _add_command("resume", "Let cancelled or failed jobs go on after their last finished frame.")
 _add_command("delete", "Delete finished jobs and their results.")

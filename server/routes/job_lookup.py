@@ -127,9 +127,16 @@ def check_allowed(job: JobRecord, action: Action) -> None:
         return
     remedies = {
         "cancel": "Nothing is left to stop.",
+        "next": "It has begun already, or has ended.",
         "resume": "Only a failed, cancelled or timed out job can go on; retry starts afresh.",
         "retry": "Cancel it first.",
         "delete": "Cancel it first.",
     }
-    verb = {"cancel": "cancelled", "resume": "resumed", "retry": "retried", "delete": "deleted"}
+    verb = {
+        "cancel": "cancelled",
+        "next": "moved to the front",
+        "resume": "resumed",
+        "retry": "retried",
+        "delete": "deleted",
+    }
     raise ProblemError(409, f"A {job.state.value} job cannot be {verb[action]}.", remedies[action])

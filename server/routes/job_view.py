@@ -84,6 +84,7 @@ def _to_job(snapshot: _JobSnapshot) -> Job:
             stage=progress.stage if record.state is JobState.RUNNING else None,
         ),
         queue_position=snapshot.position,
+        paused=record.paused,
         outcome=record.outcome,
         problem=record.problem,
     )

@@ -1,4 +1,4 @@
-"""/v1/jobs: submit, list, show, cancel, resume, retry, delete."""
+"""/v1/jobs: submit, list, show, put first, cancel, resume, retry, delete."""
 
 from __future__ import annotations
 
@@ -184,6 +184,14 @@ def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     if job.state is not JobState.CANCELLED:
         check_allowed(job, "cancel")
         context.queue.cancel(job.id)
+    return to_job(find_job(job.id, caller, context), context)
+
+
+@router.post("/{job_id}/next", operation_id="putJobFirst", summary="Put a job first")
+def put_job_first(caller: Submitter, job: VisibleJob, context: Context) -> Job:
+    """Start a queued job before all others of its owner; jobs of others keep their turns."""
+    check_allowed(job, "next")
+    context.queue.put_first(job.id)
     return to_job(find_job(job.id, caller, context), context)
 
 

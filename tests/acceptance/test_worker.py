@@ -116,6 +116,24 @@ def test_failures_are_counted_by_kind(cluster):
     assert FailureCounts(cluster.queue).since_last_call() == {"timeout": 1, "input": 1}
 
 
+def test_a_paused_owner_waits(cluster):
+    """Others go on meanwhile, and so does what runs; then the owner's own order holds."""
+    cluster.worker()
+    running = cluster.submit(owner="a")
+    waiting = [cluster.submit(owner="a", frames=1) for _ in range(2)]
+    cluster.wait_for_state(running, JobState.RUNNING)
+    cluster.queue.pause("a")
+    cluster.queue.put_first(waiting[1])
+    other = cluster.submit(owner="b", frames=1)
+    cluster.wait_for_state(running, JobState.SUCCEEDED)
+    cluster.wait_for_state(other, JobState.SUCCEEDED)
+    assert {cluster.job(job).state for job in waiting} == {JobState.QUEUED}
+    cluster.queue.unpause("a")
+    for job in waiting:
+        cluster.wait_for_state(job, JobState.SUCCEEDED)
+    assert cluster.job(waiting[1]).started_at < cluster.job(waiting[0]).started_at
+
+
 def test_own_priorities(cluster):
     """An urgent job takes its owner's first place, and pushes no other owner out of theirs."""
     usual = [cluster.submit(frames=1, owner="a") for _ in range(2)]

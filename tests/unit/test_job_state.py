@@ -8,7 +8,7 @@ from dbos import WorkflowStatusString
 from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.job_state import allowed, job_state, statuses
 
-ACTIONS = ("cancel", "resume", "retry", "delete")
+ACTIONS = ("cancel", "next", "resume", "retry", "delete")
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_every_status_of_the_queue_has_a_state():
 @pytest.mark.parametrize(
     ("state", "actions"),
     [
-        (JobState.QUEUED, {"cancel"}),
+        (JobState.QUEUED, {"cancel", "next"}),
         (JobState.RUNNING, {"cancel"}),
         (JobState.SUCCEEDED, {"retry", "delete"}),
         (JobState.FAILED, {"resume", "retry", "delete"}),

@@ -1,0 +1,145 @@
+"""What owners may do with the order of their own jobs: priorities, which is next, and a pause.
+
+Jobs of an owner who has paused wait under the name of another queue, which no worker looks into.
+None of it gives an owner a place that was another's.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import sqlalchemy as sa
+
+from chamfer_morph.worker.dbos_adapter import WorkflowTable
+
+WORKFLOW = "morph"
+QUEUE = "jobs"
+PAUSED_QUEUE = "paused"
+
+NOBODY = "-"
+"""Owner of jobs submitted without a key."""
+
+ENQUEUED: sa.ColumnElement[str] = sa.literal_column("'ENQUEUED'")
+"""Not as a parameter, for which SQLite uses no partial index."""
+
+_PAUSED_OWNERS = sa.Table(
+    "morph_paused_owners",
+    sa.MetaData(),
+    sa.Column("owner", sa.String(64), primary_key=True),
+    sa.Column("since", sa.BigInteger, nullable=False),
+)
+"""Since when, in milliseconds since 1970."""
+
+
+class OwnQueue:
+    """The queued jobs of single owners. Calls block; an owner is named as its column has it."""
+
+    def __init__(self, workflows: WorkflowTable) -> None:
+        self._workflows = workflows
+
+    def create_table(self) -> None:
+        """Create what is missing."""
+        with self._workflows.begin() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(sa.text("select pg_advisory_xact_lock(7310248)"))
+            connection.execute(sa.schema.CreateTable(_PAUSED_OWNERS, if_not_exists=True))
+
+    def is_paused(self, owner: str) -> bool:
+        """Whether no more jobs of an owner are started."""
+        query = sa.select(_PAUSED_OWNERS.c.owner).where(_PAUSED_OWNERS.c.owner == owner)
+        return bool(self._workflows.rows(query))
+
+    def queue_of(self, owner: str) -> str:
+        """The queue that jobs of an owner wait in."""
+        return PAUSED_QUEUE if self.is_paused(owner) else QUEUE
+
+    def pause(self, owner: str) -> None:
+        """Start no more jobs of an owner; those that run go on."""
+        row = {"owner": owner, "since": round(time.time() * 1000)}
+        with self._workflows.begin() as connection:
+            connection.execute(sa.delete(_PAUSED_OWNERS).where(_PAUSED_OWNERS.c.owner == owner))
+            connection.execute(sa.insert(_PAUSED_OWNERS).values(row))
+        self._move(owner, PAUSED_QUEUE)
+
+    def unpause(self, owner: str, first_place: int) -> None:
+        """Start jobs of an owner again, from this place in the queue on."""
+        with self._workflows.begin() as connection:
+            connection.execute(sa.delete(_PAUSED_OWNERS).where(_PAUSED_OWNERS.c.owner == owner))
+            paused = connection.execute(self._waiting(owner, PAUSED_QUEUE)).all()
+            for place, (job, *_) in enumerate(_in_own_order(paused), first_place):
+                self._change(connection, job, queue_name=QUEUE, priority=place)
+
+    def settle(self, owner: str) -> None:
+        """Move jobs that were queued while their owner paused, or ended a pause."""
+        self._move(owner, self.queue_of(owner))
+
+    def put_first(self, owner: str, job_id: str) -> bool:
+        """Start a queued job before all others of its owner; False if it is not queued."""
+        c = self._workflows.table.c
+        with self._workflows.begin() as connection:
+            query = sa.select(c.attributes).where(c.workflow_uuid == job_id, c.status == ENQUEUED)
+            row = connection.execute(query.with_for_update()).one_or_none()
+            if row is None:
+                return False
+            first = (row[0] or {}) | {"first": time.time_ns() // 1000}
+            self._change(connection, job_id, attributes=first)
+        self.order(owner)
+        return True
+
+    def order(self, owner: str) -> None:
+        """Give the queued jobs of an owner their places in the order that the owner wants."""
+        with self._workflows.begin() as connection:
+            jobs = connection.execute(self._waiting(owner, QUEUE)).all()
+            places = sorted(place for _, place, *_ in jobs)
+            for (job, place, *_), better in zip(_in_own_order(jobs), places, strict=True):
+                if place != better:
+                    self._change(connection, job, priority=better)
+
+    def order_by_priority(self, owner: str, newest: int) -> None:
+        """The same after a job of this priority has been queued; often there is nothing to do."""
+        c = self._workflows.table.c
+        later = c.attributes["priority"].as_integer() > newest
+        moved = c.attributes["first"].as_string().is_not(None)
+        if self._workflows.rows(self._waiting(owner, QUEUE).where(later | moved).limit(1)):
+            self.order(owner)
+
+    def _move(self, owner: str, queue: str) -> None:
+        c = self._workflows.table.c
+        elsewhere = QUEUE if queue == PAUSED_QUEUE else PAUSED_QUEUE
+        with self._workflows.begin() as connection:
+            connection.execute(
+                sa.update(self._workflows.table)
+                .where(c.queue_name == elsewhere, c.status == ENQUEUED, self._is_of(owner))
+                .values(queue_name=queue)
+            )
+
+    def _waiting(self, owner: str, queue: str) -> sa.Select[Any]:
+        """Id, place, priority and time of moving to the front of an owner's jobs, by age."""
+        c = self._workflows.table.c
+        priority = c.attributes["priority"].as_integer()
+        first = c.attributes["first"].as_string()
+        return (
+            sa.select(c.workflow_uuid, c.priority, priority, first)
+            .where(c.name == WORKFLOW, c.queue_name == queue, c.status == ENQUEUED)
+            .where(self._is_of(owner))
+            .order_by(c.created_at, c.workflow_uuid)
+        )
+
+    def _is_of(self, owner: str) -> sa.ColumnElement[bool]:
+        """Not by the index of owners: few jobs are left by the other conditions."""
+        return sa.func.coalesce(self._workflows.table.c.authenticated_user, NOBODY) == owner
+
+    def _change(self, connection: sa.Connection, job_id: str, **values: Any) -> None:
+        """Change the row of a job that is still queued."""
+        c = self._workflows.table.c
+        connection.execute(
+            sa.update(self._workflows.table)
+            .where(c.workflow_uuid == job_id, c.status == ENQUEUED)
+            .values(values)
+        )
+
+
+def _in_own_order(jobs: Any) -> list[Any]:
+    """Those moved to the front, the last moved first; then by priority; then by age."""
+    return sorted(jobs, key=lambda job: (-int(job[3] or 0), job[2] or 0))
