@@ -129,6 +129,9 @@ class SubmissionOptions:
         float | None, typer.Option(help="Stop a job that computes for longer [s].")
     ] = None
     name: Annotated[str, typer.Option(help="A name for your own use.")] = ""
+    reuse: Annotated[
+        bool, typer.Option("--reuse", help="Take the result of an equal job of yours, if any.")
+    ] = False
     idempotency_key: Annotated[
         str | None,
         typer.Option(
@@ -146,6 +149,7 @@ class SubmissionOptions:
             "priority": self.priority,
             "timeout_seconds": self.timeout,
             "name": self.name,
+            "reuse": self.reuse,
         }
 
 

@@ -144,6 +144,7 @@ class Operations:
         device: schemas.Device = "auto",
         priority: int = 100,
         timeout_seconds: float | None = None,
+        reuse: bool = False,
         idempotency_key: str | None = None,
     ) -> Job:
         """Have a morph computed.
@@ -160,6 +161,7 @@ class Operations:
             device: Where to compute.
             priority: 1 to 1000; smaller runs earlier among your jobs.
             timeout_seconds: Stop after so long [s].
+            reuse: Take the result of an equal job of yours, if one has succeeded.
             idempotency_key: Calls with the same key make one job; if None, a new key, which
                 holds for the repetitions within this call.
 
@@ -182,6 +184,7 @@ class Operations:
             device=device,
             priority=priority,
             timeout_seconds=timeout_seconds,
+            reuse=reuse,
         )
         key = idempotency_key or str(uuid.uuid4())
         return await self._post(Job, "jobs", body=body, idempotency_key=key)
@@ -426,6 +429,7 @@ class Operations:
         device: schemas.Device = "auto",
         priority: int = 100,
         timeout_seconds: float | None = None,
+        reuse: bool = False,
         idempotency_key: str | None = None,
     ) -> Sweep:
         """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
@@ -442,6 +446,7 @@ class Operations:
             device=device,
             priority=priority,
             timeout_seconds=timeout_seconds,
+            reuse=reuse,
         )
         key = idempotency_key or str(uuid.uuid4())
         return await self._post(Sweep, "sweeps", body=body, idempotency_key=key)

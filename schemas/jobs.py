@@ -59,6 +59,11 @@ class JobOptions(Request):
     device: Device = "auto"
     priority: int = Field(100, ge=1, le=1000, description="Smaller runs earlier among your jobs.")
     timeout_seconds: float | None = Field(None, gt=0, description="Stop after so long [s].")
+    reuse: bool = Field(
+        False,
+        description="Succeed at once with the result of a job of yours that has succeeded with the "
+        "same shapes, settings and device, by the code in use.",
+    )
 
 
 class JobRequest(JobOptions):

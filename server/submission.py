@@ -15,6 +15,7 @@ from chamfer_morph.schemas.ids import derived_id
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
+from chamfer_morph.server.reuse import TAKEOVER_SECONDS, find_equal, run_digest, take_over
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobRecord
@@ -39,11 +40,13 @@ class Submission:
         spec: What to compute.
         attributes: What the service keeps beside it.
         priority: Smaller runs earlier.
+        reuse: Whether the result of an equal job will do.
     """
 
     spec: JobSpec
     attributes: dict[str, str | int | float]
     priority: int
+    reuse: bool
 
 
 def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Submission:
@@ -84,7 +87,8 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         spec=spec,
         attributes={
             "name": request.name,
-            "body": body_digest(request.model_dump(mode="json")),
+            "body": body_digest(request.model_dump(mode="json", exclude={"reuse"})),
+            "run": run_digest(spec),
             "method": config.method.name,
             "preset": request.preset,
             "source_name": source_name,
@@ -92,6 +96,7 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
             "estimate": expected.seconds,
         },
         priority=request.priority,
+        reuse=request.reuse,
     )
 
 
@@ -156,13 +161,19 @@ def submit(
     Raises:
         ProblemError: 422, the id belongs to another request.
     """
+    equal = None
+    if submission.reuse:
+        equal = find_equal(submission.spec, caller.name, context.queue, context.storage)
     new = context.queue.enqueue(
         submission.spec,
         job_id=job_id,
         owner=caller.name,
         priority=submission.priority,
         attributes=submission.attributes | ({"sweep": sweep} if sweep else {}),
+        delay_seconds=TAKEOVER_SECONDS if equal else None,
     )
+    if new and equal:
+        take_over(equal, job_id, context.queue, context.storage)
     record = context.queue.get(job_id)
     if record is None:
         raise ProblemError(409, "The job has been deleted meanwhile.", "Submit it again.")

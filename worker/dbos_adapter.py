@@ -37,7 +37,7 @@ COLUMNS = frozenset(
     {
         "workflow_uuid", "name", "status", "authenticated_user", "attributes", "priority",
         "executor_id", "created_at", "updated_at", "completed_at", "workflow_deadline_epoch_ms",
-        "queue_name",
+        "queue_name", "started_at_epoch_ms",
     }
 )  # fmt: skip
 """What the queue uses of the table."""

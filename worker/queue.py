@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -148,6 +149,7 @@ class JobQueue:
         owner: str,
         priority: int = 100,
         attributes: Mapping[str, str | int | float] | None = None,
+        delay_seconds: float | None = None,
     ) -> bool:
         """Put a job into the queue.
 
@@ -157,14 +159,17 @@ class JobQueue:
             owner: Name of the submitting key; slots are shared out evenly between owners.
             priority: 1 to 1000; smaller runs earlier among the owner's jobs.
             attributes: More to attach: `name`, `method`, `sweep` and what else is to be shown.
+            delay_seconds: Start it after so long at the earliest, unless `finish` comes before [s].
 
         Returns:
             False if the id is taken.
         """
         queue = self._own.queue_of(owner or NOBODY)
+        delay = {} if delay_seconds is None else {"delay_seconds": delay_seconds}
         try:
             self._client.enqueue(
                 {
+                    **delay,  # type: ignore[typeddict-item]
                     "workflow_name": WORKFLOW,
                     "queue_name": queue,
                     "workflow_id": job_id,
@@ -183,6 +188,20 @@ class JobQueue:
         self._settle(owner, queue)
         self._own.order_by_priority(owner or NOBODY, priority)
         self.wake_workers()
+        return True
+
+    def finish(self, job_id: str, outcome: Outcome) -> bool:
+        """Let a job that waits for its delay succeed with this; False if it waits no more."""
+        c, now = self._table.c, round(time.time() * 1000)
+        done = {"status": "SUCCESS", "started_at_epoch_ms": now, "completed_at": now}
+        waiting = (c.workflow_uuid == job_id) & (c.status == "DELAYED")
+        output = SERIALIZER.serialize(outcome.model_dump(mode="json"))
+        with self._workflows.begin() as connection:
+            change = sa.update(self._table).where(waiting).values(done | {"updated_at": now})
+            if not connection.execute(change).rowcount:
+                return False
+            row = {"workflow_uuid": job_id, "output": output}
+            connection.execute(sa.insert(self._workflows.outcomes).values(row))
         return True
 
     def wake_workers(self) -> None:
@@ -345,6 +364,14 @@ class JobQueue:
             (job, int(at), "timeout" if status == "CANCELLED" else _kind_of(error))
             for job, at, status, error in rows
         ]
+
+    def succeeded(self, owner: str, run: str, limit: int = 10) -> list[JobRecord]:
+        """An owner's jobs that have succeeded with this attribute `run`, the newest first."""
+        c = self._table.c
+        query = self._versions.where(
+            self._owned_by(owner), c.status == "SUCCESS", c.attributes["run"].as_string() == run
+        )
+        return self._records(self._rows(query.order_by(c.created_at.desc()).limit(limit)))
 
     def unmeasured(self, owner: str, after: int) -> list[str]:
         """Ids of an owner's jobs that are not finished, or have finished after a time [ms]."""

@@ -108,7 +108,7 @@ def _submit(
     count = math.prod(len(axis) for axis in axes)
     if count > JOBS:  # known before a single combination is made
         raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
-    digest = body_digest(request.model_dump(mode="json"))
+    digest = body_digest(request.model_dump(mode="json", exclude={"reuse"}))
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
     before = context.sweeps.get(sweep_id)
     if before is not None and before.body != digest:
