@@ -293,6 +293,17 @@ def test_a_worker_is_paused_and_let_go(morph):
     assert_refused(morph("workers", "pause", "nobody"), "nobody")
 
 
+def test_the_own_queue_is_paused_and_a_job_put_first(morph):
+    """Paused jobs wait; the one named is before those that were submitted earlier."""
+    assert "paused" in morph("queue", "pause").stdout
+    jobs = [morph("submit", "sphere", "star", "--quiet").stdout.strip() for _ in range(2)]
+    assert json.loads(morph("queue", "show", "--json").stdout)["queued"] == 2
+    assert morph("next", jobs[1]).stdout.split() == [jobs[1], "queued"]
+    assert json.loads(morph("show", jobs[0], "--json").stdout)["paused"]
+    assert morph("cancel", *jobs).returncode == 0
+    assert "paused" not in morph("queue", "unpause").stdout
+
+
 def test_help_needs_neither_http_nor_the_schemas():
     """Help does not pay for the imports of the service commands."""
     code = (
