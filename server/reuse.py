@@ -14,7 +14,7 @@ from pathlib import Path
 
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobQueue, JobRecord
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import OwnershipLostError, Storage, StoreUnavailableError
 from morph_engine.code_digest import code_digest
 
 EVENTS = "events.jsonl"
@@ -35,7 +35,8 @@ def find_equal(spec: JobSpec, owner: str, queue: JobQueue, storage: Storage) -> 
         outcome = record.outcome
         if outcome is None or outcome.provenance.get("code") != code:
             continue
-        with suppress(OSError):
+        with suppress(OSError, StoreUnavailableError):
+            storage.fetch(record.id, record.finished_at)
             if storage.result_path(record.id).stat().st_size == outcome.size_bytes:
                 return record
     return None
@@ -49,11 +50,13 @@ def take_over(equal: JobRecord, job_id: str, queue: JobQueue, storage: Storage) 
     source, target = storage.job_dir(equal.id), storage.job_dir(job_id)
     assert equal.outcome is not None
     try:
-        target.mkdir()
+        storage.claim(job_id, 0)
         shutil.copyfile(source / EVENTS, target / EVENTS)  # a log that goes on is written in place
         _link(storage.result_path(equal.id), storage.result_path(job_id))
-    except OSError:
-        shutil.rmtree(target, ignore_errors=True)
+        storage.publish(job_id)
+    except (OSError, OwnershipLostError, StoreUnavailableError):
+        with suppress(StoreUnavailableError):
+            storage.remove_job(job_id)
     else:
         queue.finish(job_id, equal.outcome)
 
