@@ -26,8 +26,8 @@ COMPILING = 180
 PATIENCE = 60
 """How long a picture may take to change [s]."""
 
-SETTLED = 800
-"""After this long [ms] a picture is drawn in full, also where drawing is slow."""
+SETTLED = 500
+"""A picture that has not changed for as long [ms] is at rest."""
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,8 @@ def done(service):
 @pytest.fixture
 def opened(page, done) -> Page:
     """Its page, with the particles of the last frame in sight, drawn the same every time."""
-    page.goto(f"/jobs/{done}?frame={FRAMES}&shape=points&quality=plain")
+    with page.expect_response(re.compile("/config$")):  # which says how large particles are
+        page.goto(f"/jobs/{done}?frame={FRAMES}&shape=points&quality=plain")
     expect_frame(page, FRAMES)
     return page
 
@@ -61,11 +62,19 @@ def expect_frame(page: Page, number: int, of: int = FRAMES) -> None:
 
 
 def picture(page: Page, which: int = 0) -> Image.Image:
-    """What a 3D view shows, without what floats over it."""
-    page.wait_for_timeout(SETTLED)
+    """What a 3D view shows once it is at rest, without what floats over it."""
     frame = page.locator(".scene-frame").nth(which)
     frame.evaluate("frame => { frame.style.zIndex = 9; }")
-    shot = Image.open(io.BytesIO(frame.screenshot())).convert("RGB")
+    deadline = time.monotonic() + PATIENCE
+    before = None
+    while True:
+        page.wait_for_timeout(SETTLED)
+        expect(frame.locator("canvas")).not_to_have_attribute("aria-busy", "true")
+        shot = Image.open(io.BytesIO(frame.screenshot())).convert("RGB")
+        if shot == before:
+            break
+        assert time.monotonic() < deadline, "The picture changes on and on."
+        before = shot
     frame.evaluate("frame => { frame.style.zIndex = ''; }")
     return shot
 
@@ -319,6 +328,7 @@ def test_what_moves_is_seen_between_frames(opened):
     """While one frame is told, particles are in several places on their way to the next."""
     opened.get_by_label("Drawing").select_option("sketch")
     opened.get_by_role("combobox", name="Speed").select_option("4")
+    opened.get_by_label("Loop").check()
     opened.get_by_role("button", name="Play", exact=True).click()
     pictures = opened.evaluate(
         """async () => {
@@ -340,7 +350,8 @@ def test_what_moves_is_seen_between_frames(opened):
         }"""
     )
     assert max(count for _, count in pictures) > 1, pictures
-    expect_frame(opened, FRAMES)
+    opened.get_by_role("button", name="Pause").click()
+    expect(opened.get_by_role("button", name="Play", exact=True)).to_be_visible()
 
 
 @pytest.mark.parametrize(

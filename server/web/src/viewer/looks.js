@@ -6,12 +6,12 @@
  */
 export const LOOKS = {
   clay: { label: "Clay", color: "#bd8163", roughness: 0.92 },
-  porcelain: { label: "Porcelain", color: "#f2efe9", roughness: 0.35, clearcoat: 1, clearcoatRoughness: 0.06 },
+  porcelain: { label: "Porcelain", color: "#f2efe9", roughness: 0.3, clearcoat: 0.3, clearcoatRoughness: 0.06 },
   jelly: {
     label: "Jelly",
     color: "#f0433a",
     roughness: 0.14,
-    clearcoat: 0.8,
+    clearcoat: 0.4,
     clearcoatRoughness: 0.1,
     transmission: 0.75,
     thickness: 0.35,
@@ -31,7 +31,7 @@ export const LOOKS = {
   },
   glass: {
     label: "Glass",
-    color: "#e6f4f2",
+    color: "#f3fbfa",
     roughness: 0.03,
     transmission: 1,
     thickness: 0.3,

@@ -10,7 +10,6 @@ export class Occlusion {
   constructor(scene, camera) {
     this.pass = new GTAOPass(scene, camera);
     this.pass.output = GTAOPass.OUTPUT.Off;
-    this.pass.normalMaterial.flatShading = true; // smooth normals turn away at outlines, which would be black
     this.quad = new FullScreenQuad(this.pass.blendMaterial);
     this.size = new Vector2();
   }

@@ -112,8 +112,8 @@ export class Surface extends Group {
   /** Draw light that goes through it as it is refracted, or in a quicker way. */
   refract(refracts) {
     refract(this.mesh.material, refracts);
-    // both sides where there may be holes; one where the other would be seen through it
-    this.mesh.material.side = this.clear ? FrontSide : DoubleSide;
+    // both sides where there may be holes, or light comes through; else one, which the other would shine through
+    this.mesh.material.side = this.clear && !refracts ? FrontSide : DoubleSide;
   }
 
   dispose() {

@@ -129,7 +129,8 @@ export class Timeline {
       const last = this.count - 1;
       if (at >= last && !this.loop.checked) break;
       at += ((performance.now() - shown) / 1000) * Number(this.rate.value);
-      if (at > last) at = this.loop.checked && Math.floor(this.index) === last ? 0 : last;
+      if (!this.loop.checked) at = Math.min(at, last);
+      else if (at >= this.count) at = 0; // the last frame lasts as long as the others
     }
     if (turn === this.#turn) this.rest();
   }

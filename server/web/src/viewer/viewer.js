@@ -41,7 +41,7 @@ const MARGIN = 1.1; // around everything in sight, for the controls
 const RADIUS = 0.62; // of the spacing: neighbours touch and holes still show
 const GHOST_RADIUS = 0.22;
 const SKETCHED = 10_000; // particles of a sketch
-const REST_MILLISECONDS = 180; // without a change, after which the picture is at rest
+const REST_MILLISECONDS = 300; // without a change, which is longer than a frame at the slowest pace
 const SIDES = { 1: { y: [0, 0, 1], z: [0, -1, 0] }, 3: { y: [1, 0, 0], z: [1, 0, 0] }, 7: { y: [0, 1, 0], z: [0, 0, 1] } };
 const LAMPS = [
   [1.5, -0.7, 0.9, 0.5], // strength and place beside the camera: key
@@ -67,7 +67,7 @@ export class Viewer {
   #occlusion = null;
   #behind = null;
   #ground = Infinity; // its level along the upward axis
-  #shadowed = false; // whether the shadow is that of what is shown
+  #cast = 0; // share of the particles that cast the shadow there is; 0 where it is of something else
   #told = "";
   #spaced = false;
   #reducedMotion;
@@ -361,6 +361,7 @@ export class Viewer {
       this.#queued = false;
       if (this.disposed) return;
       this.controls.update();
+      this.canvas.setAttribute("aria-busy", "true"); // a finer picture follows
       this.render("moving");
       clearTimeout(this.#resting);
       this.#resting = setTimeout(() => this.#rest(), REST_MILLISECONDS);
@@ -395,6 +396,7 @@ export class Viewer {
       this.#resting = setTimeout(() => this.#rest());
       return;
     }
+    this.canvas.removeAttribute("aria-busy");
     const [still, moving] = ["still", "moving"].map((motion) => FINENESS[quality.level(kind, motion)].label.toLowerCase());
     if (this.#told === still + moving) return;
     this.#told = still + moving;
@@ -407,14 +409,15 @@ export class Viewer {
     const ratio = sketch ? 0.5 : Math.min(devicePixelRatio, full ? 2 : 1);
     if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
     const radius = this.#frameOf?.radius ?? 10;
-    if (!this.#shadowed) this.#castShadow(radius);
+    const share = sketch ? Math.min(1, SKETCHED / Math.max(this.particles.count, 1)) : 1;
     const { distance } = this;
     const pixels = this.canvas.height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
     for (const cloud of [this.particles, this.ghost]) {
-      cloud.thin(sketch && cloud.count ? Math.min(1, SKETCHED / cloud.count) : 1);
+      cloud.thin(share);
       cloud.material.uniforms.pixels.value = pixels;
       cloud.material.uniforms.depth.value = [distance - radius, distance + radius];
     }
+    if (this.#cast < share) this.#castShadow(radius, share);
     this.surface.refract(full);
     this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
     this.renderer.render(this.scene, this.camera);
@@ -430,19 +433,18 @@ export class Viewer {
     return (this.#behind ??= backdrop(this.#colour("--scene-light"), this.#colour("--scene")));
   }
 
-  #castShadow(radius) {
+  #castShadow(radius, share) {
     this.shadow.visible = this.particles.visible || this.surface.visible;
     if (!this.shadow.visible || !this.#frameOf || !this.particles.count) return;
-    this.#shadowed = true;
+    this.#cast = share;
     this.#ground = Math.min(this.#ground, lowest(this.particles.positions, this.#up));
     this.shadow.place(this.#up, this.#frameOf.center, radius, this.#ground);
-    this.particles.thin(1);
-    this.shadow.update(this.renderer, this.scene, 2 * this.particles.radius);
+    this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share));
   }
 
   /** Something else is shown, or elsewhere. */
   #changed() {
-    this.#shadowed = false;
+    this.#cast = 0;
     this.draw();
   }
 
