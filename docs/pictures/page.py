@@ -106,7 +106,7 @@ def _views(jobs: list[str]) -> tuple[View, ...]:
     return (
         View("jobs", "/", _jobs_are_there),
         View("new", "/new?source=shape:sphere&target=shape:text:MPM", _previews_are_there),
-        View("job", f"/jobs/{jobs[0]}", _scenes_are_there(1)),
+        View("job", f"/jobs/{jobs[0]}?frame=40", _scenes_are_there(1)),
         View("compare", f"/compare?jobs={','.join(jobs)}", _scenes_are_there(len(jobs))),
     )
 
@@ -127,6 +127,8 @@ def _scenes_are_there(count: int) -> Callable[[Page], None]:
         for index in range(count):
             canvas = page.locator(".scene canvas").nth(index)
             expect(canvas).to_have_attribute("aria-label", LAST_FRAME)
+            expect(page.locator(".scene-note").nth(index)).to_contain_text("from the target")
+            expect(canvas).not_to_have_attribute("aria-busy", "true")
 
     return wait
 
