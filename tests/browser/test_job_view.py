@@ -544,3 +544,14 @@ def test_a_phone_needs_no_sideways_scroll(done, new_page):
     expect_frame(page, 1)
     page.get_by_text("All numbers as a table").click()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_a_phone_follows_a_job(service, new_page):
+    """With the button that leads to the newest frame nothing is wider than the screen, either."""
+    job = service.submit(name="followed by phone", frames=MANY)
+    page = new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+    page.goto(f"/jobs/{job}")
+    expect(page.get_by_role("button", name="Newest frame")).to_be_visible()
+    expect(page.locator(".summary")).to_contain_text("Running")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    service.call("POST", f"/v1/jobs/{job}/cancel")
