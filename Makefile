@@ -33,7 +33,7 @@ demo: install  ## start the service, submit a morph, show its progress, fetch an
 	$(BIN)/python examples/service_demo.py
 
 test: install  ## run the whole test suite
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 page: install $(PAGE)  ## build the web page
 

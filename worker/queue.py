@@ -422,7 +422,7 @@ class JobQueue:
         """
         try:
             mark = self._storage.mark_for_discard(job_id)
-        except FileNotFoundError as error:  # its folder has gone at this moment
+        except (FileExistsError, FileNotFoundError) as error:  # its folder goes at this moment
             raise JobChangedError("The job is being deleted.") from error
         try:
             self._rewind(job_id)

@@ -230,8 +230,9 @@ class Storage:
 
     def unmark(self, job_id: str, mark: str | None = None) -> None:
         """Take back a mark, or all those of who died before the job was in the queue."""
-        for path in self.job_dir(job_id).glob(mark or f"{DISCARD}*"):
-            path.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # the job is being deleted
+            for path in self.job_dir(job_id).glob(mark or f"{DISCARD}*"):
+                path.unlink(missing_ok=True)
 
     def discard_if_marked(self, job_id: str, *, wait_seconds: float) -> None:
         """Delete what a job has left, if that is marked and no engine works on it.
