@@ -113,6 +113,7 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
     page.wait_for_url("**/jobs/*")
     job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
     assert job["state"] == "succeeded"
+    page.get_by_role("button", name="Details", exact=True).click()
     expect(page.get_by_role("listitem").filter(has_text="The source is scaled by")).to_be_visible()
 
 
