@@ -29,6 +29,7 @@ import trimesh
 
 SECONDS_LIMIT = 10.0
 PATIENCE_SECONDS = 60.0
+POLL_SECONDS = 0.01
 MEGABYTES_LIMIT = 1024.0
 ROOT = Path(__file__).resolve().parent.parent
 Random = np.random.Generator
@@ -102,15 +103,33 @@ def inspect(case: Case, folder: Path) -> Outcome:
         )  # fmt: skip
         timer = threading.Timer(PATIENCE_SECONDS, process.kill)
         timer.start()
-        _, status, usage = os.wait4(process.pid, 0)
+        megabytes = 0.0
+        while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+            megabytes = max(megabytes, _peak_megabytes(process.pid))
+            time.sleep(POLL_SECONDS)
+        _, status, usage = ended
         timer.cancel()
         clock_seconds = time.perf_counter() - started
         process.returncode = os.waitstatus_to_exitcode(status)
         output.seek(0)
         message = output.read().decode(errors="replace").strip()
-    megabytes = usage.ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
+    if sys.platform == "darwin":
+        megabytes = usage.ru_maxrss / 2**20
     seconds = min(clock_seconds, usage.ru_utime + usage.ru_stime)
     return Outcome(case, process.returncode, seconds, megabytes, message)
+
+
+def _peak_megabytes(pid: int) -> float:
+    """Most memory that a program has had at once so far [MB], on Linux.
+
+    What the system says of an ended process counts its parent before it became that program, too.
+    """
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return 0.0
+    peaks = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")]
+    return peaks[0] / 2**10 if peaks else 0.0
 
 
 def _healthy(random: Random) -> trimesh.Trimesh:
