@@ -92,9 +92,7 @@ class JobMirror:
                 with suppress(FileNotFoundError):  # an object has gone meanwhile: look again
                     self._fetch(log_only)
                     return
-            raise StoreUnavailableError(
-                f"Job files changed {ROUNDS} times while they were read.", "Try again soon."
-            )
+            raise _restless()
 
     def claim(self, wait_seconds: float) -> None:
         """Become the one who publishes the job; the folder has then all that was published.
@@ -140,6 +138,7 @@ class JobMirror:
                 with suppress(FileNotFoundError):  # a file has gone while the folder was read
                     self._publish()
                     return
+            raise _restless()
 
     def size(self) -> int:
         """Size of what the store has of the job [bytes].
@@ -324,6 +323,12 @@ class JobMirror:
         temporary = self.folder / f"{STATE}.{secrets.token_hex(4)}.tmp"
         temporary.write_text(state.model_dump_json(), encoding="utf-8")
         os.replace(temporary, self.folder / STATE)
+
+
+def _restless() -> StoreUnavailableError:
+    return StoreUnavailableError(
+        f"The job's files have changed {ROUNDS} times while they were read.", "Try again soon."
+    )
 
 
 def _reading_order(name: str) -> tuple[int, str]:
