@@ -102,8 +102,8 @@ def test_a_janitor_that_comes_too_late_adopts_nothing(cluster, monkeypatch):
 def test_duplicate_executor(cluster):
     """A second worker under the same name refuses to start."""
     cluster.worker(0)
-    lock = cluster.settings.data_dir / "workers" / executor_id(0)
-    cluster.wait_until(lock.exists, "the first worker")
+    slots = WorkerSlots(database(cluster.settings))
+    cluster.wait_until(lambda: executor_id(0) in slots.all(), "the first worker")
     second = cluster.worker(0)
     assert second.wait(30) == 1
     log = (cluster.settings.data_dir / "processes.log").read_text()
