@@ -18,9 +18,11 @@ import pytest
 
 from chamfer_morph.schemas import BuiltInShape, JobState, Shape
 from chamfer_morph.schemas.ids import new_id
+from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.slots import WorkerSlots
 from chamfer_morph.worker.storage import open_storage
 from morph_engine.presets import configure
 from morph_engine.results.trajectory import Trajectory
@@ -53,6 +55,8 @@ class Cluster:
         self.storage = open_storage(self.settings, "test")
         self.queue = JobQueue(self.settings)
         self.queue.migrate()
+        self._database = database(self.settings)
+        self.slots = WorkerSlots(self._database)
 
     def start(self, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
         """Start a process of the worker room."""
@@ -173,6 +177,7 @@ class Cluster:
                     with_patience(member)
             process.wait()
         self.queue.close()
+        self._database.dispose()
 
 
 def _engine_processes(worker: subprocess.Popen[bytes]) -> list[psutil.Process]:

@@ -15,11 +15,10 @@ import pytest
 
 from chamfer_morph.schemas import JobState
 from chamfer_morph.schemas.ids import new_id
-from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
-from chamfer_morph.worker.slots import WorkerSlots, executor_id
+from chamfer_morph.worker.slots import executor_id
 from morph_engine.sections import GridConfig
 
 pytestmark = [
@@ -102,8 +101,7 @@ def test_a_janitor_that_comes_too_late_adopts_nothing(cluster, monkeypatch):
 def test_duplicate_executor(cluster):
     """A second worker under the same name refuses to start."""
     cluster.worker(0)
-    slots = WorkerSlots(database(cluster.settings))
-    cluster.wait_until(lambda: executor_id(0) in slots.all(), "the first worker")
+    cluster.wait_until(lambda: executor_id(0) in cluster.slots.all(), "the first worker")
     second = cluster.worker(0)
     assert second.wait(30) == 1
     log = (cluster.settings.data_dir / "processes.log").read_text()
@@ -324,7 +322,7 @@ def test_paused_worker_takes_no_job(cluster, undisturbed):
     cluster.worker(0)
     first, second = cluster.submit(), cluster.submit()
     cluster.wait_for_frame(first, 1)
-    WorkerSlots(database(cluster.settings)).pause(executor_id(0))
+    cluster.slots.pause(executor_id(0))
     cluster.require_sound(first, undisturbed, kills=0)
     time.sleep(1)
     assert cluster.frames(second) == []

@@ -75,7 +75,9 @@ def test_worker_slots_are_counted(api: Api) -> None:
     """A slot that nobody holds is dead."""
     figures = api.http.get("/metrics").text
     assert 'morph_workers{state="dead"} 0.0' in figures
-    WorkerSlots(database(api.settings)).register("elsewhere-slot0")
+    engine = database(api.settings)
+    WorkerSlots(engine).register("elsewhere-slot0")
+    engine.dispose()
     lock = try_lock(api.settings, "elsewhere-slot0")
     assert lock is not None
     try:
