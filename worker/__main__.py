@@ -46,10 +46,12 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> None:
     from chamfer_morph.worker.dbos_adapter import check_reachable
     from chamfer_morph.worker.storage import open_storage
 
-    open_storage(settings, "worker")
+    runs = arguments.command == "run"
+    executor = executor_id(arguments.slot) if runs else "janitor"
+    open_storage(settings, executor)
     check_reachable(settings)
-    if arguments.command == "run":
-        run_slot(settings, executor_id(arguments.slot))
+    if runs:
+        run_slot(settings, executor)
     elif arguments.command == "janitor":
         from chamfer_morph.worker import janitor
 

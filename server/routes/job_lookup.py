@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -17,7 +19,10 @@ from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
 from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.storage import StoreUnavailableError
 from morph_engine.results.run_record import RunRecord
+
+_LOG = logging.getLogger(__name__)
 
 LAST_FILES = timedelta(minutes=1)
 """How long after its end the last files of a job may come; a stopped engine takes a moment."""
@@ -32,7 +37,7 @@ def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
     record = context.queue.get(job_id) if is_id(job_id) else None
     if record is None or not caller.can_see(record.owner):
         raise not_found("job", job_id)
-    fetch(record, context, log_only=True)
+    fetch_logs([record], context)
     return record
 
 
@@ -45,6 +50,17 @@ def fetch(job: JobRecord, context: ServerContext, *, log_only: bool = False) -> 
     finished = job.finished_at
     rests = finished and datetime.now(timezone.utc) - finished > LAST_FILES
     context.storage.fetch(job.id, finished if rests else None, log_only=log_only)
+
+
+def fetch_logs(jobs: Sequence[JobRecord], context: ServerContext) -> None:
+    """See to it that the events of jobs are here; where the object store does not answer, those
+    that are here already have to do.
+    """  # noqa: D205
+    try:
+        for job in jobs:
+            fetch(job, context, log_only=True)
+    except StoreUnavailableError:
+        _LOG.warning("the object store does not answer; the progress of jobs may be old")
 
 
 VisibleJob = Annotated[JobRecord, Depends(find_job)]

@@ -24,7 +24,7 @@ from chamfer_morph.server.http.uploads import (
     receive_form,
     save_upload,
 )
-from chamfer_morph.server.routes.job_lookup import VisibleJob, check_allowed, fetch, find_job
+from chamfer_morph.server.routes.job_lookup import VisibleJob, check_allowed, fetch_logs, find_job
 from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
@@ -154,8 +154,7 @@ def list_jobs(
         limit=limit + 1,
     )
     page, more = records[:limit], len(records) > limit
-    for record in page:
-        fetch(record, context, log_only=True)
+    fetch_logs(page, context)
     items = b",".join(to_json(record, context, alone=False) for record in page)
     following = cursors.encode_cursor(*page[-1].age_and_id) if more else None
     body = b'{"items":[%b],"next_cursor":%b}' % (items, json.dumps(following).encode())

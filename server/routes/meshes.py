@@ -199,7 +199,7 @@ async def store_uploads(
     for upload in uploads:
         mesh_suffix(upload.name)  # refuses what has none
         report = None
-        if context.storage.mesh_file(upload.sha256) is None:
+        if await anyio.to_thread.run_sync(context.storage.mesh_file, upload.sha256) is None:
             inspect = partial(context.sandbox.inspect_mesh, upload.path, upload.name)
             report = await context.inspections.get((upload.path,), inspect, request, caller.name)
         reports.append(report)

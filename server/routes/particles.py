@@ -74,7 +74,7 @@ async def get_mesh_particles(
 ) -> Response:
     """The particles that a job would fill the mesh with, encoded as frames are."""
     row, path = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
-    report = context.storage.mesh_report(mesh_id) or {}
+    report = await anyio.to_thread.run_sync(context.storage.mesh_report, mesh_id) or {}
     warnings = report.get("warnings", [])
     return await _particles(path, row.name, warnings, sampling, request, caller, context)
 

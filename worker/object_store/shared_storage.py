@@ -91,7 +91,8 @@ class SharedStorage(Storage):
         self._mirror(job_id).fetch(log_only=log_only)
         self._note_use(self.job_dir(job_id))
         with self._lock:
-            self._fetched[job_id, log_only] = begun, settled
+            for part in {True, log_only}:  # the log is a part of everything
+                self._fetched[job_id, part] = begun, settled
             while len(self._fetched) > 2 * MIRRORS_KEPT:
                 self._fetched.popitem(last=False)
 
@@ -130,7 +131,7 @@ class SharedStorage(Storage):
     def remove_job(self, job_id: str) -> None:
         """As of `Storage`."""
         self._mirror(job_id).discard()
-        self._bucket.delete(self._bucket.keys(f"jobs/{job_id}/"))
+        self._bucket.delete(self._bucket.keys(self._marks(job_id)))
         super().remove_job(job_id)
 
     def _mirror(self, job_id: str) -> JobMirror:
@@ -151,7 +152,7 @@ class SharedStorage(Storage):
             if time.monotonic() - self._looked_at < EVICTION_SECONDS:
                 return
             self._looked_at = time.monotonic()
-        self.evict()
+        threading.Thread(target=self.evict, daemon=True).start()  # nobody waits for it
 
     def evict(self, unused_seconds: float = UNUSED_SECONDS) -> None:
         """Delete the copies that were asked for longest ago, beyond the disk that copies may fill.
