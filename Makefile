@@ -8,13 +8,17 @@ DOCS_STAMP := $(VENV)/.docs-installed
 WEB    := server/web
 PAGE   := $(WEB)/dist/index.html
 PAGE_SOURCES = $(shell find $(WEB) -path $(WEB)/node_modules -prune -o -path $(WEB)/dist -prune -o -type f -print)
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 # Node.js, which builds the page, comes as a package, too
 export PATH := $(abspath $(BIN)):$(PATH)
+ADDON := dist/chamfer_morph_blender.zip
+BLENDER := $(VENV)/blender/bin/python
 CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo page site test test-browser test-site test-faults test-distribution lint format bench gallery \
-  pictures lock clean
+.PHONY: help install demo page site test test-acceptance test-browser test-site test-faults test-distribution \
+  test-blender addon lint \
+  format bench gallery pictures lock clean
 
 help:  ## show the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 21
@@ -32,8 +36,11 @@ $(STAMP): requirements.lock pyproject.toml
 demo: install  ## start the service, submit a morph, show its progress, fetch and print the result
 	$(BIN)/python examples/service_demo.py
 
-test: install  ## run the whole test suite
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+test: install  ## the library and the service, under 10 minutes on 2 cores
+	$(BIN)/python -m pytest $(PARALLEL) tests/integration tests/unit
+
+test-acceptance: install  ## commands, workers and engines in processes of their own; 7 minutes
+	$(BIN)/python -m pytest $(PARALLEL) tests/acceptance
 
 page: install $(PAGE)  ## build the web page
 
@@ -67,6 +74,19 @@ test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Po
 
 test-distribution: install page  ## the wheel on each Python of 3.10-3.13 that is here
 	$(BIN)/python -m pytest -m distribution
+
+$(ADDON): $(wildcard blender/*)
+	@mkdir -p dist
+	rm -f $@ && cd blender && ../$(BIN)/python -m zipfile -c ../$@ *.py blender_manifest.toml
+
+addon: install $(ADDON)  ## the Blender add-on as a zip in dist
+
+$(BLENDER):
+	$(PYTHON) -m venv $(VENV)/blender
+	$(VENV)/blender/bin/python -m pip install --quiet --disable-pip-version-check bpy==4.2.0
+
+test-blender: install $(BLENDER)  ## the add-on in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
+	MORPH_BLENDER=$(abspath $(BLENDER)) $(BIN)/python -m pytest -m blender
 
 lint: install  ## style, types and import contracts
 	$(BIN)/ruff check .

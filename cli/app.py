@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_group
 
+from chamfer_morph.cli.examples import epilog
 from chamfer_morph.cli.exit_status import exit_status
 
 _MODULES = {
@@ -20,12 +22,15 @@ _MODULES = {
     "reproduction": ("reproduce",),
     "exports": ("export", "view", "render"),
     "jobs": (
-        "submit", "jobs", "show", "watch", "next", "cancel", "retry", "resume", "delete", "fetch",
+        "submit", "jobs", "show", "watch", "next", "cancel", "retry", "resume", "fork", "delete",
+        "fetch",
     ),
     "queue": ("queue",),
+    "webhooks": ("webhooks",),
     "sweeps": ("sweep",),
     "processes": ("serve", "worker"),
     "doctor": ("doctor",),
+    "backup": ("backup", "restore"),
     "service": ("keys", "workers"),
 }  # fmt: skip
 
@@ -44,9 +49,17 @@ class LazyGroup(TyperGroup):
         """The command of a name; None if there is none."""
         modules = {COMMANDS[cmd_name]} if cmd_name in COMMANDS else set(COMMANDS.values())
         for module in modules if cmd_name not in self.commands else ():
-            commands = import_module(f"chamfer_morph.cli.commands.{module}").app
-            self.commands.update(get_group(commands).commands)
+            commands = get_group(import_module(f"chamfer_morph.cli.commands.{module}").app).commands
+            _add_examples(commands, "")
+            self.commands.update(commands)
         return self.commands.get(cmd_name)
+
+
+def _add_examples(commands: Mapping[str, Any], prefix: str) -> None:
+    """Put examples below the help of these commands, and of those below them."""
+    for name, command in commands.items():
+        command.epilog = epilog(prefix + name)
+        _add_examples(getattr(command, "commands", {}), f"{prefix}{name} ")
 
 
 app: typer.Typer = typer.Typer(

@@ -6,9 +6,12 @@ import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from morph_engine.errors import ConfigError, ResultError
+
+if TYPE_CHECKING:
+    from morph_engine.rendering.camera_path import CameraKey
 
 
 def parse_frames(text: str | None) -> list[int] | None:
@@ -41,6 +44,46 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found:
         raise ConfigError(f"{text!r} is no size.", "Write it as in 960x720.")
     return int(found[1]), int(found[2])
+
+
+def parse_camera_keys(texts: Iterable[str]) -> tuple[CameraKey, ...]:
+    """Places of the eye as typed, 0.5:90,30,1.5: share of the film, azimuth, elevation, zoom.
+
+    Raises:
+        ConfigError: One is something else.
+    """
+    from morph_engine.rendering.camera_path import CameraKey, View
+
+    keys = []
+    for text in texts:
+        try:
+            share, _, place = text.partition(":")
+            azimuth, elevation, *zoom = (float(number) for number in place.split(","))
+            keys.append(CameraKey(float(share), View(azimuth, elevation, *zoom)))
+        except (TypeError, ValueError):
+            raise ConfigError(
+                f"{text!r} is no camera key.",
+                "Write share of the film, azimuth and elevation in degrees, and perhaps a zoom: "
+                "0.5:90,30,1.5.",
+            ) from None
+    return tuple(keys)
+
+
+def parse_settings(settings: Iterable[str]) -> dict[str, str]:
+    """Settings as typed, path=value, by their paths.
+
+    Raises:
+        ConfigError: One has no equals sign.
+    """
+    found: dict[str, str] = {}
+    for setting in settings:
+        path, separator, value = setting.partition("=")
+        if not separator:
+            raise ConfigError(
+                f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
+            )
+        found[path] = value
+    return found
 
 
 def read_landmarks(pairs: Iterable[str], file: Path | None) -> list[dict[str, Any]] | None:
@@ -106,10 +149,10 @@ def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
         )
 
 
-def default_output(source: str, target: str, *, partial: bool = False) -> Path:
+def default_output(*shapes: str, partial: bool = False) -> Path:
     """The result file of a run that names none: sphere-to-bunny.vtkhdf, where one stands."""
     ending = "-partial" if partial else ""
-    return Path(f"{_file_stem(source)}-to-{_file_stem(target)}{ending}.vtkhdf")
+    return Path(f"{'-to-'.join(map(_file_stem, shapes))}{ending}.vtkhdf")
 
 
 def _file_stem(shape: str) -> str:

@@ -64,6 +64,7 @@ def examine(*, compute: bool = True) -> Iterator[Finding]:
     yield check_software()
     yield check_libraries()
     yield check_memory()
+    yield check_network()
     try:
         settings = load_settings()
     except MorphError as error:
@@ -135,6 +136,21 @@ def check_disk(data_dir: Path) -> Finding:
     if free < LEAST_DISK:
         return Finding("disk", "warning", text, "Free some: a result takes 24 MB.")
     return Finding("disk", "ok", text)
+
+
+def check_network() -> Finding:
+    """Whether processes that read uploads can be kept from the network."""
+    command = python_command("chamfer_morph.worker.sandbox.network")
+    if sys.platform != "linux":
+        text = "Processes that read uploads have it: only Linux can take it from them."
+        return Finding("network", "warning", text, "Let a firewall keep the service from others.")
+    if subprocess.run(command, check=False).returncode:
+        return Finding(
+            "network", "warning", "Processes that read uploads have it.",
+            "Allow user namespaces (sysctl kernel.unprivileged_userns_clone=1, or a seccomp "
+            "profile that lets unshare pass), or let a network policy do it.",
+        )  # fmt: skip
+    return Finding("network", "ok", "Processes that read uploads have none.")
 
 
 def check_database(settings: Settings) -> Finding:

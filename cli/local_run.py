@@ -68,17 +68,19 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
             f"Choose another file with --out, {resumable}or replace it with --force.",
         )
     summary = Summary(record, out)
-    last = record.config.frames - 1
+    last_leg = record.leg_count - 1
 
     def stop() -> None:
         report(write_partial_result(record, out), as_json=execution.as_json)
 
     with (
         interrupt.at_interrupt(stop),
-        RunDisplay(last + 1, quiet=execution.quiet) as display,
+        RunDisplay(record.planned_frames, quiet=execution.quiet) as display,
     ):
         if record.placement.message:
             display.print(f"{record.placement.message} --fit none leaves shapes as they are.")
+        if record.placement.turning:
+            display.print(f"{record.placement.turning} --up y takes both as they are.")
         frames = morphing.run(
             record,
             device=execution.device,
@@ -93,7 +95,8 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
             summary.metrics = frame.metrics
             summary.events += [event.document() for event in frame.events]
             display.show(frame)
-            if frame.index == last or any(event.kind == "stopped" for event in frame.events):
+            stopped = any(event.kind == "stopped" for event in frame.events)
+            if frame.index == record.planned_frames - 1 or (stopped and frame.leg == last_leg):
                 interrupt.ignore()  # what remains is to write the file
     return summary
 

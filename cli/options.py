@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from chamfer_morph.cli.arguments import read_landmarks
+from chamfer_morph.cli.arguments import parse_settings, read_landmarks
 from chamfer_morph.cli.output import print_result
-from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
     from chamfer_morph.client import MorphClient
@@ -23,9 +22,14 @@ FIT_HELP = (
     "the domain, or never."
 )
 
+ROTATE_HELP = "Turn the source about x, y and z through its centre, about z first \\[degrees]."
+
 Fit = Literal["auto", "volume", "extent", "none"]
 
-TargetArgument = Annotated[str, typer.Argument(metavar="TARGET", help="What it is to become.")]
+TargetArguments = Annotated[
+    list[str],
+    typer.Argument(metavar="TARGET...", help="What it is to become; several, one after the other."),
+]
 MethodOption = Annotated[str | None, typer.Option(help="See morph methods.")]
 
 
@@ -63,11 +67,19 @@ class ConfigOptions:
     """The configuration of a morph: a preset, and settings in place of its own."""
 
     preset: Annotated[str, typer.Option(help="See morph presets.")] = "fast"
-    frames: Annotated[int | None, typer.Option(help="Frames to compute.")] = None
+    frames: Annotated[int | None, typer.Option(help="Frames to compute, to each target.")] = None
     points_per_cell_edge: Annotated[
         int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
     ] = None
     fit: Annotated[Fit | None, typer.Option(help=FIT_HELP)] = None
+    up: Annotated[
+        Literal["auto", "y", "z"] | None,
+        typer.Option(help="The upward axis of both shapes; auto: as each file tells."),
+    ] = None
+    source_rotate: Annotated[str | None, typer.Option(metavar="X,Y,Z", help=ROTATE_HELP)] = None
+    target_rotate: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="The same of the target.")
+    ] = None
     landmark: Annotated[
         list[str] | None,
         typer.Option(
@@ -77,7 +89,7 @@ class ConfigOptions:
     landmarks: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Such pairs in JSON: [{source: [x, y, z], target: ...}]."
+            metavar="FILE", help="Such pairs in JSON: \\[{source: \\[x, y, z], target: ...}]."
         ),
     ] = None
     settings: Annotated[
@@ -94,15 +106,11 @@ class ConfigOptions:
         options["landmarks"] = read_landmarks(self.landmark or (), self.landmarks)
         options["sampling.points_per_cell_edge"] = self.points_per_cell_edge
         options["sampling.fit"] = self.fit
+        options["placement.source.up"] = options["placement.target.up"] = self.up
+        options["placement.source.rotate"] = self.source_rotate
+        options["placement.target.rotate"] = self.target_rotate
         chosen = {path: value for path, value in options.items() if value is not None}
-        for setting in self.settings or ():
-            path, separator, value = setting.partition("=")
-            if not separator:
-                raise ConfigError(
-                    f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
-                )
-            chosen[path] = value
-        return chosen
+        return chosen | parse_settings(self.settings or ())
 
 
 @dataclass(frozen=True)
@@ -126,12 +134,15 @@ class SubmissionOptions:
         100
     )
     timeout: Annotated[
-        float | None, typer.Option(help="Stop a job that computes for longer [s].")
+        float | None, typer.Option(help="Stop a job that computes for longer \\[s].")
     ] = None
     name: Annotated[str, typer.Option(help="A name for your own use.")] = ""
     reuse: Annotated[
         bool, typer.Option("--reuse", help="Take the result of an equal job of yours, if any.")
     ] = False
+    states_every: Annotated[
+        int, typer.Option(help="Keep the full state after every so many frames, for morph fork.")
+    ] = 0
     idempotency_key: Annotated[
         str | None,
         typer.Option(
@@ -150,6 +161,7 @@ class SubmissionOptions:
             "timeout_seconds": self.timeout,
             "name": self.name,
             "reuse": self.reuse,
+            "states_every": self.states_every,
         }
 
 

@@ -10,6 +10,7 @@ from morph_engine.errors import MorphError
 
 FLAGS = {
     **{name: f"--{name}" for name in ("device", "frames", "out", "resume", "snap", "surface")},
+    "states_every": "--states-every",
     "points_per_cell_edge": "--points-per-cell-edge",
     "sampling.points_per_cell_edge": "--points-per-cell-edge",
     "sampling.fit": "--fit",

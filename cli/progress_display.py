@@ -47,6 +47,11 @@ class ProgressDisplay:
         task = self._progress.add_task(label, total=None)
         return lambda done, total: self._progress.update(task, completed=done, total=total)
 
+    def add_text(self) -> Callable[[str], None]:
+        """A line of text; returns what to call with what it is to say."""
+        task = self._progress.add_task("", total=None)
+        return lambda text: self._progress.update(task, description=text)
+
 
 class RunDisplay(ProgressDisplay):
     """Progress of one run: frame, loss, Chamfer distance, time left, and events as they happen.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import attrgetter
@@ -72,6 +73,8 @@ def print_report(report: IngestReport) -> None:
             ("volume", f"{report.volume:.6g}"),
             ("from", " ".join(f"{value:.4g}" for value in lower)),
             ("to", " ".join(f"{value:.4g}" for value in upper)),
+            ("colours", report.colors),
+            ("upwards", report.up or "not known"),
             ("fits the domain", yes_no[report.fits_domain]),
         ),
     )
@@ -152,17 +155,30 @@ HEADLINE = (
     "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "many_to_one", "coverage",
     "iou", "cover", "spill", "rho_p05", "rho_p95", "det_f_min", "det_f_max", "escaped",
 )  # fmt: skip
-"""The metrics a run ends with; the result file has all of them."""
+"""The metrics that are shown of a job; the result file has all of them."""
 
 
 def print_summary(document: Mapping[str, Any]) -> None:
-    """The end of a run on standard output: headline metrics, what it cost, where it lies."""
-    print_metrics({name: document[name] for name in HEADLINE if name in document})
+    """The end of a run on standard output: how good it is, what it cost, and what to do next."""
     sys.stdout.write(
-        f"\n{document['frames']} frames of {document['particle_count']} particles in "
+        f"{quality(document)}\n"
+        f"{document['frames']} frames of {document['particle_count']:,} particles in "
         f"{format_duration(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
         f"{format_size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
     )
+    out = shlex.quote(document["out"])
+    sys.stdout.write(f"look at it:  morph view {out}\nall numbers: morph metrics {out}\n")
+
+
+def quality(metrics: Mapping[str, float]) -> str:
+    """How well particles fill the target, in a sentence."""
+    low, high = metrics["rho_p05"], metrics["rho_p95"]
+    words = (
+        f"{metrics['cover']:.0%} of the target is filled, {metrics['spill']:.0%} of the fill lies "
+        f"beside it; density {low:.2f} to {high:.2f} of an even fill's."
+    )
+    escaped = int(metrics.get("escaped", 0))
+    return f"{words} {escaped} particles left the domain." if escaped else words
 
 
 def print_metrics(values: Mapping[str, float]) -> None:
@@ -199,9 +215,9 @@ def print_jobs(jobs: Iterable[Job]) -> None:
                 job.id,
                 job.state.value,
                 f"{job.progress.frame}/{job.progress.frames}",
-                f"{job.source_name} to {job.target_name}",
+                " to ".join((job.source_name, *job.via_names, job.target_name)),
                 job.method,
-                _local_time(job.created_at),
+                local_time(job.created_at),
                 job.name,
             )
             for job in jobs
@@ -214,15 +230,15 @@ def print_job(job: Job) -> None:
     seconds_left = job.progress.seconds_left
     rows = [
         ("state", _state(job)),
-        ("morph", f"{job.source_name} to {job.target_name}"),
+        ("morph", " to ".join((job.source_name, *job.via_names, job.target_name))),
         ("method, preset, seed", f"{job.method}, {job.preset}, {job.seed}"),
         ("device, priority", f"{job.device}, {job.priority}"),
         ("frames", f"{job.progress.frame} of {job.progress.frames}"),
         ("metrics", format_losses(job.progress.metrics)),
         ("time left", "" if seconds_left is None else format_duration(seconds_left)),
-        ("submitted", _local_time(job.created_at)),
-        ("started", _local_time(job.started_at)),
-        ("finished", _local_time(job.finished_at)),
+        ("submitted", local_time(job.created_at)),
+        ("started", local_time(job.started_at)),
+        ("finished", local_time(job.finished_at)),
         ("attempt", str(job.progress.attempt or "")),
         ("name", job.name),
         ("owner", job.owner),
@@ -279,7 +295,8 @@ def print_sweep(sweep: Sweep) -> None:
     sys.stdout.write(f"\nsweep {sweep.id}: {format_counts(sweep.counts)}\n")
 
 
-def _local_time(time: datetime | None) -> str:
+def local_time(time: datetime | None) -> str:
+    """A time in the time zone of this machine; empty for None."""
     return f"{time.astimezone():%Y-%m-%d %H:%M:%S}" if time else ""
 
 

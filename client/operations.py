@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import uuid
-from collections.abc import AsyncGenerator, Iterable, Mapping
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote
@@ -21,11 +21,15 @@ from chamfer_morph.client.execution import operation
 from chamfer_morph.client.job_events import follow
 from chamfer_morph.schemas import (
     BuiltInShape,
+    Delivery,
+    DeliveryPage,
+    Easing,
     Event,
     Export,
     ExportFormat,
     ExportRequest,
     Fit,
+    ForkRequest,
     Job,
     JobPage,
     JobRequest,
@@ -35,14 +39,19 @@ from chamfer_morph.schemas import (
     MeshPage,
     MeshShape,
     NewKey,
+    NewWebhook,
     ParticleField,
+    Playback,
     QueueStatus,
+    Repeat,
     Resource,
     Shape,
     SurfaceFormat,
     Sweep,
     SweepRequest,
     Units,
+    Webhook,
+    WebhookRequest,
     WorkerStatus,
 )
 from morph_engine.errors import ConfigError, MeshError, ResultError
@@ -133,7 +142,7 @@ class Operations:
     async def submit(
         self,
         source: ShapeLike,
-        target: ShapeLike,
+        target: ShapeLike | Sequence[ShapeLike],
         *,
         preset: str = "fast",
         overrides: Mapping[str, Any] | None = None,
@@ -145,23 +154,25 @@ class Operations:
         priority: int = 100,
         timeout_seconds: float | None = None,
         reuse: bool = False,
+        states_every: int = 0,
         idempotency_key: str | None = None,
     ) -> Job:
         """Have a morph computed.
 
         Args:
             source: Where the particles come from: a file, which is uploaded, or a built-in shape.
-            target: What they are to become.
+            target: What they are to become; of several in a list, one after the other.
             preset: Configuration to start from.
             overrides: Settings by dotted path.
             method: Short for the override `method`.
-            frames: Short for the override `frames`.
+            frames: Short for the override `frames`; of the way to each target.
             seed: Short for the override `seed`.
             name: For your own use.
             device: Where to compute.
             priority: 1 to 1000; smaller runs earlier among your jobs.
             timeout_seconds: Stop after so long [s].
             reuse: Take the result of an equal job of yours, if one has succeeded.
+            states_every: Frames between two states that are kept for forks; 0 for none.
             idempotency_key: Calls with the same key make one job; if None, a new key, which
                 holds for the repetitions within this call.
 
@@ -171,10 +182,13 @@ class Operations:
         Raises:
             MeshError: A file cannot be read.
         """
+        targets: list[Any] = list(target) if isinstance(target, list | tuple) else [target]
+        first, *via, last = [await self._shape(shape) for shape in (source, *targets)]
         body = _validated(
             JobRequest,
-            source=await self._shape(source),
-            target=await self._shape(target),
+            source=first,
+            via=via,
+            target=last,
             preset=preset,
             overrides=dict(overrides or {}),
             method=method,
@@ -185,6 +199,7 @@ class Operations:
             priority=priority,
             timeout_seconds=timeout_seconds,
             reuse=reuse,
+            states_every=states_every,
         )
         key = idempotency_key or str(uuid.uuid4())
         return await self._post(Job, "jobs", body=body, idempotency_key=key)
@@ -220,6 +235,44 @@ class Operations:
     async def resume(self, job_id: str) -> Job:
         """Let a job that did not succeed go on after its last finished frame."""
         return await self._post(Job, "jobs", job_id, "resume")
+
+    @operation
+    async def fork(
+        self,
+        job_id: str,
+        frame: int | None = None,
+        *,
+        overrides: Mapping[str, Any] | None = None,
+        name: str = "",
+        priority: int = 100,
+        timeout_seconds: float | None = None,
+        states_every: int = 0,
+        idempotency_key: str | None = None,
+    ) -> Job:
+        """A new job that begins with the frames of another and goes on with other settings.
+
+        Args:
+            job_id: The other job.
+            frame: Index of the last frame that both have in common; None for the last one after
+                which there is a full state.
+            overrides: Settings by dotted path, in place of the other job's.
+            name: For your own use.
+            priority: 1 to 1000; smaller runs earlier among your jobs.
+            timeout_seconds: Stop after so long [s].
+            states_every: Frames between two states that are kept for forks; 0 for none.
+            idempotency_key: As of `submit`.
+        """
+        body = _validated(
+            ForkRequest,
+            frame=frame,
+            overrides=dict(overrides or {}),
+            name=name,
+            priority=priority,
+            timeout_seconds=timeout_seconds,
+            states_every=states_every,
+        )
+        key = idempotency_key or str(uuid.uuid4())
+        return await self._post(Job, "jobs", job_id, "fork", body=body, idempotency_key=key)
 
     @operation
     async def retry(self, job_id: str) -> Job:
@@ -290,6 +343,21 @@ class Operations:
         return await self._get_points("jobs", job_id, "source")
 
     @operation
+    async def colors(self, job_id: str) -> NDArray[np.uint8]:
+        """Colours of the particles in each shape of a morph, sRGB, shape [shapes, n, 3], uint8.
+
+        There are 0 shapes where none has colours. `morph_engine.results.colors` tells how they are
+        blended from one shape to the next.
+        """
+        import numpy as np
+
+        answer = await self._connection.get(
+            _path("jobs", job_id, "colors"), timeout=COMPUTING_TIMEOUT
+        )
+        count = int(answer.headers["Morph-Particles"])
+        return np.frombuffer(answer.content, np.uint8).reshape(-1, count, 3)
+
+    @operation
     async def target(self, job_id: str) -> NDArray[np.float32]:
         """Target points [dx], shape [target_count, 3], float32."""
         return await self._get_points("jobs", job_id, "target")
@@ -305,6 +373,39 @@ class Operations:
         path = _path("jobs", job_id, "frames", str(index), "fields", name)
         answer = await self._connection.get(path, format="f32")
         return np.frombuffer(answer.content, "<f4").astype(np.float32)
+
+    @operation
+    async def playback(
+        self,
+        job_id: str,
+        *,
+        seconds: float | None = None,
+        fps: float = 30.0,
+        hold: float = 0.0,
+        easing: Easing = "in-out",
+        repeat: Repeat = "none",
+    ) -> Playback:
+        """Which frame of a finished job a player shows when, in a time of its own.
+
+        Args:
+            job_id: The job.
+            seconds: Duration, with the rests [s]; as long as all frames, and the rests, if None.
+            fps: Pictures per second.
+            hold: Rest at each shape [s].
+            easing: Pace between two shapes.
+            repeat: Whether it ends as it begins, or plays to the end and back.
+        """
+        return await self._get(
+            Playback,
+            "jobs",
+            job_id,
+            "playback",
+            seconds=seconds,
+            fps=fps,
+            hold=hold,
+            easing=easing,
+            repeat=repeat,
+        )
 
     @operation
     async def surface(
@@ -349,6 +450,10 @@ class Operations:
         snap: bool = False,
         tracked: bool = False,
         fps: float | None = None,
+        seconds: float | None = None,
+        hold: float | None = None,
+        easing: Easing | None = None,
+        repeat: Repeat | None = None,
         units: Units = "user",
         fields: Iterable[str] = (),
     ) -> Path:
@@ -363,7 +468,11 @@ class Operations:
             surface: A surface around the particles in their place.
             snap: Draw the surface of the first and last frames to the meshes of both shapes.
             tracked: One mesh through all frames, animated in one file.
-            fps: Frames per second of an animation, 24 by default and 12 in videos.
+            fps: Frames per second of an animation: 24 by default, 12 in videos, 30 of a given time.
+            seconds: Duration of what is played, with its rests [s].
+            hold: Rest at each shape [s].
+            easing: Pace between two shapes.
+            repeat: Whether it ends as it begins, or plays to the end and back.
             units: Coordinates of the files (user), of one of them, or grid units.
             fields: Names of fields to carry along.
 
@@ -378,6 +487,10 @@ class Operations:
             snap=snap,
             tracked=tracked,
             fps=fps,
+            seconds=seconds,
+            hold=hold,
+            easing=easing,
+            repeat=repeat,
             units=units,
             fields=list(fields),
         )
@@ -430,6 +543,7 @@ class Operations:
         priority: int = 100,
         timeout_seconds: float | None = None,
         reuse: bool = False,
+        states_every: int = 0,
         idempotency_key: str | None = None,
     ) -> Sweep:
         """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
@@ -447,6 +561,7 @@ class Operations:
             priority=priority,
             timeout_seconds=timeout_seconds,
             reuse=reuse,
+            states_every=states_every,
         )
         key = idempotency_key or str(uuid.uuid4())
         return await self._post(Sweep, "sweeps", body=body, idempotency_key=key)
@@ -501,6 +616,49 @@ class Operations:
         place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
         query = {"points_per_cell_edge": points_per_cell_edge, "fit": fit}
         return await self._get_points(*place, "particles", **query)
+
+    # webhooks
+
+    @operation
+    async def webhooks(self) -> list[Webhook]:
+        """Your webhooks, without their secrets."""
+        return await self._get(list[Webhook], "webhooks")
+
+    @operation
+    async def create_webhook(
+        self,
+        url: str,
+        *,
+        states: Iterable[str] = ("succeeded", "failed", "cancelled", "timed_out"),
+        secret: str | None = None,
+    ) -> NewWebhook:
+        """Have a URL told of your jobs.
+
+        Args:
+            url: Where to send the messages.
+            states: States of your jobs to be told of.
+            secret: What messages are signed with; the service makes one if none is given.
+
+        Returns:
+            The webhook with its secret, which is shown this once.
+        """
+        body = _validated(WebhookRequest, url=url, states=list(states), secret=secret)
+        return await self._post(NewWebhook, "webhooks", body=body)
+
+    @operation
+    async def delete_webhook(self, webhook_id: str) -> None:
+        """Tell a webhook nothing any more."""
+        await self._delete("webhooks", webhook_id)
+
+    @operation
+    async def test_webhook(self, webhook_id: str) -> Delivery:
+        """Have a message of the type `test` sent; `deliveries` tells what became of it."""
+        return await self._post(Delivery, "webhooks", webhook_id, "test")
+
+    @operation
+    def deliveries(self, webhook_id: str) -> AsyncGenerator[Delivery, None]:
+        """Messages to a webhook with all attempts to deliver them, the newest first."""
+        return self._pages(DeliveryPage, "webhooks", webhook_id, "deliveries")
 
     # administration
 

@@ -13,6 +13,7 @@ Two execution styles share each scattering kernel:
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 from ctypes.util import find_library
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine import kernel_loading
+from morph_engine import array_lifetimes, kernel_loading
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 
@@ -60,23 +61,23 @@ class Backend:
 
     def scalars(self, count: int) -> Any:
         """A zeroed device array of reals, shape [count]."""
-        return _zeroed(ti.ndarray(self.real, count))
+        return ti.ndarray(self.real, count)
 
     def integers(self, count: int) -> Any:
         """A zeroed device array of int32, shape [count]."""
-        return _zeroed(ti.ndarray(ti.i32, count))
+        return ti.ndarray(ti.i32, count)
 
     def integer_vectors(self, count: int, width: int) -> Any:
         """A zeroed device array of int32 vectors, shape [count, width]."""
-        return _zeroed(ti.Vector.ndarray(width, ti.i32, count))
+        return ti.Vector.ndarray(width, ti.i32, count)
 
     def vectors(self, count: int, width: int = 3) -> Any:
         """A zeroed device array of real vectors, shape [count, width]."""
-        return _zeroed(ti.Vector.ndarray(width, self.real, count))
+        return ti.Vector.ndarray(width, self.real, count)
 
     def matrices(self, count: int) -> Any:
         """A zeroed device array of real 3x3 matrices, shape [count, 3, 3]."""
-        return _zeroed(ti.Matrix.ndarray(3, 3, self.real, count))
+        return ti.Matrix.ndarray(3, 3, self.real, count)
 
     def upload(self, values: NDArray[Any]) -> Any:
         """Copy a host array, shape [n], [n, w] or [n, 3, 3], to a new device array of reals."""
@@ -85,15 +86,6 @@ class Backend:
         )
         array.from_numpy(np.ascontiguousarray(values, dtype=self.numpy_real))
         return array
-
-
-def _zeroed(array: Any) -> Any:
-    if array.element_shape:  # to fill these, Taichi would make a kernel each time
-        kind = {ti.f32: np.float32, ti.f64: np.float64, ti.i32: np.int32}[array.dtype]
-        array.from_numpy(np.zeros((*array.shape, *array.element_shape), kind))
-    else:
-        array.fill(0)
-    return array
 
 
 _active: Backend | None = None
@@ -124,6 +116,7 @@ def start(
             "Set `device` to cpu or cuda, or use float32.",
         )
     kernel_loading.shorten()
+    array_lifetimes.begin_program()
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
         ti.init(
@@ -149,6 +142,7 @@ def available_devices() -> tuple[str, ...]:
     return tuple(name for name in ("cuda", "metal", "vulkan", "cpu") if _is_available(name))
 
 
+@functools.cache
 def _is_available(name: str) -> bool:
     # Taichi logs a warning when asked about CUDA without its driver library, so look first.
     if name == "cuda" and find_library("cuda") is None:

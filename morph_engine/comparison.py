@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from morph_engine.errors import ConfigError, MeshError
+from morph_engine.errors import ConfigError, MeshError, ResultError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points
 from morph_engine.geometry.sampling import SAFE_HALF_EXTENT, sample_lattice
@@ -141,24 +141,46 @@ def compare(
     return Measurement(values, reference, len(positions), len(target), spacing, tau)
 
 
-def measure_path(result: Trajectory | str | Path) -> dict[str, float]:
+def measure_path(result: Trajectory | str | Path, leg: int = 0) -> dict[str, float]:
     """Measure the path of a result, and its end against the target's mesh.
 
+    h of a frame is the spacing of as many particles in a volume that goes linearly from that of the
+    source to that of the target, along the schedule of the method.
+
+    Args:
+        result: The result, or its file.
+        leg: Of a morph through several shapes, from 0.
+
     Returns:
-        The numbers of `path_metrics`, with the source as the first frame and a schedule of even
-        steps; those of `mesh_metrics` and `surface_metrics` if the target is a mesh.
+        The numbers of `path_metrics`, with the source as the first frame; those of `mesh_metrics`
+        and `surface_metrics` if the target is a mesh.
 
     Raises:
-        ResultError: The result cannot be read.
+        ResultError: The result cannot be read, or has no frame of this leg.
     """
     with opened(result) as run:
-        spacing, last = run.config.spacing, run.positions(-1)
-        values = path_metrics([run.run.source_points, *run], spacing)
-        apart = run.run.spacing_of(last)
-        target = _of_run(run, -1).target
-    if target is not None and target.mesh is not None:
-        values |= mesh_metrics(last, target.mesh, spacing)
-        values |= surface_metrics(reconstruct_surface(last, apart), target.mesh)
+        own = np.flatnonzero(run.legs == leg)
+        if not len(own):
+            raise ResultError(
+                f"There is no frame of leg {leg}.", f"Its legs are 0 to {run.run.leg_count - 1}."
+            )
+        places = [run.positions(int(frame)) for frame in own]
+        record = run.run.leg(leg, run.positions(int(own[0]) - 1) if leg else None)
+        frames = [record.source_points, *places]
+        planned = run.planned_frames_of(leg)
+        corrections = run.metrics.get("correction")
+    share_of_way = record.config.method.share_of_way
+    shares = np.array([share_of_way(frame, planned) for frame in range(len(frames))])
+    apart = record.config.spacing * np.cbrt(1 - shares + shares * record.ratio)
+    settled = None
+    if corrections is not None:  # on average over the particles of each frame
+        settled = np.full(record.particle_count, corrections[own].sum())
+    values = path_metrics(frames, apart, shares=shares / shares[-1], settled=settled)
+    mesh, _ = record.fitted("target")
+    if mesh is not None:
+        last, spacing = frames[-1], float(apart[-1])
+        values |= mesh_metrics(last, mesh, spacing)
+        values |= surface_metrics(reconstruct_surface(last, spacing), mesh)
     return values
 
 
@@ -219,11 +241,12 @@ def _load(shape: Comparable, frame: int) -> _Shape:
 
 
 def _of_run(run: Trajectory, frame: int) -> _Shape:
-    target = _Shape(mesh=run.target) if isinstance(run.target, Mesh) else _Shape()
-    target = replace(target.moved(np.linalg.inv(run.transform)), points=run.target_points)
+    leg = run.run.leg(run.leg_of(frame))
+    target = _Shape(mesh=leg.target) if isinstance(leg.target, Mesh) else _Shape()
+    target = replace(target.moved(np.linalg.inv(leg.transform)), points=leg.target_points)
     return _Shape(
         points=run.positions(frame),
-        to_user=run.transform,
+        to_user=leg.transform,
         spacing=run.config.spacing,
         domain=run.config.domain,
         target=target,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic import BaseModel, Field
 
@@ -19,6 +21,7 @@ from morph_engine.geometry.sampling import (
     sample_lattice,
 )
 from morph_engine.geometry.topology import Opening, Topology, Vector
+from morph_engine.geometry.upward import Up
 from morph_engine.geometry.winding_number import winding_number
 from morph_engine.presets import configure
 
@@ -60,6 +63,10 @@ class IngestReport(BaseModel, frozen=True):
     ambiguous_winding: float = Field(description="Share of points neither inside nor outside")
     volume: float = Field(description="Enclosed volume; overlapping parts count twice")
     bounds: tuple[Vector, Vector] = Field(description="Corners of the bounding box")
+    colors: Literal["none", "corners", "textures"] = Field(
+        "none", description="Where its colours are, if it has any"
+    )
+    up: Up | None = Field(None, description="Upward axis as its file tells; null if nothing does")
     fits_domain: bool = Field(description="Lies in the usable cube as it is")
     resolutions: tuple[Resolution, ...] = Field(
         description="Empty unless the mesh can be used, placed in the domain as was asked for"
@@ -106,11 +113,19 @@ def inspect_mesh(mesh: Mesh, *, fit: Fit = "auto") -> IngestReport:
         ambiguous_winding=ambiguous,
         volume=mesh.volume,
         bounds=(tuple(lower), tuple(upper)),
+        colors=_place_of_colors(mesh),
+        up=mesh.up,
         fits_domain=_fits(mesh, HALF_EXTENT),
         resolutions=tuple(_resolution(in_domain, n) for n in POINTS_PER_CELL_EDGE if usable),
         placement=message,
         warnings=warnings,
     )
+
+
+def _place_of_colors(mesh: Mesh) -> Literal["none", "corners", "textures"]:
+    if mesh.colors is None:
+        return "none"
+    return "textures" if mesh.colors.textures else "corners"
 
 
 def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:

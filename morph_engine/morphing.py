@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from morph_engine import backend, kept_results, methods
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.device import Device
-from morph_engine.errors import MeshError, ResourceError
+from morph_engine.errors import ConfigError, MeshError, ResourceError, SimulationError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import placed
 from morph_engine.geometry.sampling import (
@@ -41,15 +41,18 @@ from morph_engine.metrics.deformation import deformation_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.watchdog import Event
 from morph_engine.presets import configure
-from morph_engine.results.run_record import RunRecord, Shape, placement_of
-from morph_engine.results.spool import Spool
+from morph_engine.results.run_record import RunRecord, Shape, config_at, growths, placement_of
+from morph_engine.results.spool import Checkpoint, Spool
 from morph_engine.results.trajectory import write_result
 
 ShapeLike = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
 
+Targets = ShapeLike | Sequence[ShapeLike]
+"""A target, or several in a list or tuple, which the morph goes through one after the other."""
+
 Stage = Literal["preparing", "computing"]
-"""What goes on before the first frame: the method gets ready, the first frame is computed."""
+"""What goes on before the first frame of a leg: the method gets ready, the frame is computed."""
 
 MEGABYTE = 1e6
 BYTES_PER_PARTICLE = 16
@@ -68,6 +71,7 @@ class Frame:
         seconds: Wall-clock time of the frame [s].
         cpu_seconds: CPU time of the frame, summed over threads [s].
         det_f: det F of each particle [ratio], shape [n], float32; None for methods without it.
+        leg: Index of the target that it leads to, of a morph through several.
     """
 
     index: int
@@ -77,19 +81,33 @@ class Frame:
     seconds: float
     cpu_seconds: float
     det_f: NDArray[np.float32] | None = None
+    leg: int = 0
 
 
-def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = None) -> RunRecord:
-    """Turn two shapes into particles and target points, in the domain of the configuration.
+def prepare(source: ShapeLike, target: Targets, config: MorphConfig | None = None) -> RunRecord:
+    """Turn shapes into particles and target points, in the domain of the configuration.
+
+    Of several targets, each is filled at the spacing that the particles have in the shape before.
 
     Raises:
+        ConfigError: There is no target, or the method takes but one.
         MeshError: A shape is unusable, does not fit the domain, or holds too few particles.
     """
     config = config or configure()
-    source_shape, target_shape = _resolve(source), _resolve(target)
-    placement = placement_of(source_shape, target_shape, config)
+    targets: list[Any] = list(target) if isinstance(target, list | tuple) else [target]
+    if not targets:
+        raise ConfigError("There is no target.", "Name one, or several in their order.")
+    if len(targets) > 1:
+        config.method.check_legs(len(targets))
+    source_shape = _resolve(source)
+    *via, target_shape = [_resolve(shape) for shape in targets]
+    placement = placement_of(source_shape, target_shape, config, via)
     source_points = _points(source_shape, placement.source, config)
-    target_points = _points(target_shape, placement.target, config)
+    points: list[NDArray[np.float32]] = []
+    for shape, to_grid in zip((*via, target_shape), placement.stops[1:], strict=True):
+        growth = growths(len(source_points), [len(each) for each in points])[-1]
+        points.append(_points(shape, to_grid, config_at(config, growth)))
+    *via_points, target_points = points
     preset, _, version = config.preset.rpartition("-")
     return RunRecord(
         config=config,
@@ -97,6 +115,8 @@ def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = N
         target=target_shape,
         source_points=source_points,
         target_points=target_points,
+        via=tuple(via),
+        via_points=tuple(via_points),
         placement=placement,
         preset=preset or config.preset,
         preset_version=int(version) if version.isdigit() else 0,
@@ -106,7 +126,7 @@ def prepare(source: ShapeLike, target: ShapeLike, config: MorphConfig | None = N
 
 def morph(
     source: ShapeLike,
-    target: ShapeLike,
+    target: Targets,
     config: MorphConfig | None = None,
     *,
     device: Device = "auto",
@@ -115,11 +135,13 @@ def morph(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Iterator[Frame]:
-    """Morph one shape into another, frame by frame.
+    """Morph one shape into another, frame by frame, or through several.
 
     Args:
         source: Where the particles come from.
-        target: What they are to become.
+        target: What they are to become; of several targets in a list, one after the other. The way
+            to each is a leg of `config.frames` frames, which begins with the particles as the last
+            one has ended.
         config: All parameters; the default preset when not given.
         device: Where to compute.
         threads: CPU threads; 0 takes every core.
@@ -186,13 +208,20 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
         ResourceError: Not enough memory or disk.
     """
     config = record.config
-    frames = config.frames
+    frames, legs = record.planned_frames, [record.leg(k) for k in range(record.leg_count)]
     need = estimate(
-        len(record.source_points),
-        len(record.target_points),
+        record.particle_count,
+        max(len(leg.target_points) for leg in legs),
         frames,
         method=config.method.name,
-        nodes=config.method.node_count(config, radius=record.radius, ratio=record.ratio),
+        nodes=max(
+            config.method.node_count(
+                leg.config,
+                radius=leg.radius,
+                ratio=len(leg.target_points) / record.particle_count,
+            )
+            for leg in legs
+        ),
     )
     free = free_memory() / MEGABYTE
     if need.memory_mb > free:
@@ -222,54 +251,102 @@ def _frames(
     on_stage: Callable[[Stage], None],
     spool: Spool | None = None,
 ) -> Iterator[Frame]:
-    config = record.config
-    on_stage("preparing")
-    source, source_to_grid = record.fitted("source")
-    target, target_to_grid = record.fitted("target")
-    method = kind(
-        Problem(
+    """The frames of all legs, those first that the spool has."""
+    checkpoint = spool.load_checkpoint() if spool else None
+    done = checkpoint.frame + 1 if checkpoint else 0
+    leg, first, start = 0, 0, record.source_points
+    if spool:
+        spool.truncate_after(done - 1)
+    if spool and done:
+        leg, first = spool.leg_of(done - 1), done - 1 - spool.frame_in_leg(done - 1)
+        start = spool.positions(first - 1) if first else start
+    while leg < record.leg_count:
+        part = _Leg(record, leg, first, start)
+        for frame in _frames_of_leg(part, kind, threads, on_stage, spool, checkpoint):
+            first, start = frame.index + 1, frame.positions
+            yield frame
+        leg, checkpoint = leg + 1, None
+
+
+class _Leg:
+    """A leg of a run.
+
+    Attributes:
+        whole: The run that it belongs to.
+        record: What it is made of itself.
+        index: Its index.
+        first: Number of frames before it.
+    """
+
+    def __init__(
+        self, whole: RunRecord, index: int, first: int, start: NDArray[np.float32]
+    ) -> None:
+        self.whole = whole
+        self.record = whole.leg(index, start)
+        self.index = index
+        self.first = first
+
+    def problem(self) -> Problem:
+        """What the method gets."""
+        record = self.record
+        source, source_to_grid = record.fitted("source")
+        target, target_to_grid = record.fitted("target")
+        return Problem(
             record.source_points,
             record.target_points,
-            config,
+            record.config,
             source_mesh=source,
             target_mesh=target,
             source_to_grid=source_to_grid.matrix,
             target_to_grid=target_to_grid.matrix,
         )
-    )
+
+    def advance(self, method: Method[Any], index: int) -> FrameOutcome:
+        """The next frame, which has an index in the leg."""
+        try:
+            return method.advance(index)
+        except SimulationError as error:
+            raise SimulationError(self._told(error.cause), error.remedy) from error
+
+    def event(self, event: Event) -> Event:
+        """An event of the leg as one of the run."""
+        return replace(event, frame=self.first + event.frame, message=self._told(event.message))
+
+    def _told(self, sentence: str) -> str:
+        return f"Leg {self.index + 1}: {sentence}" if self.index else sentence
+
+
+def _frames_of_leg(
+    leg: _Leg,
+    kind: type[Method[Any]],
+    threads: int,
+    on_stage: Callable[[Stage], None],
+    spool: Spool | None,
+    checkpoint: Checkpoint | None,
+) -> Iterator[Frame]:
+    """The frames of a leg; with a checkpoint, which lies in it, all before that come first."""
+    record, config = leg.record, leg.record.config
+    on_stage("preparing")
+    method = kind(leg.problem())
     on_stage("computing")
     stopping = EarlyStopping(config)
-    start = 0
-    checkpoint = spool.load_checkpoint() if spool else None
+    begin, before = 0, record.source_points
     if spool and checkpoint:
-        spool.truncate_after(checkpoint.frame)
-        start = checkpoint.frame + 1
         method.restore(checkpoint.arrays)
         stopping.restore(checkpoint.scalars)
-        for index in range(start):
-            events = [Event(**e) for e in spool.events if e["frame"] == index]
-            yield Frame(
-                index=index,
-                positions=spool.positions(index),
-                metrics=spool.metrics(index),
-                events=tuple(events),
-                seconds=0.0,
-                cpu_seconds=0.0,
-                det_f=spool.det_f(index),
-            )
-    elif spool:
-        spool.truncate_after(-1)
-    before = spool.positions(start - 1) if spool and start else record.source_points
-    for index in range(start, config.frames):
+        yield from _stored_frames(spool)
+        begin = checkpoint.frame + 1 - leg.first
+        before = spool.positions(checkpoint.frame)
+    for index in range(begin, config.frames):
         if stopping.stopped:
             return
         wall, cpu = time.perf_counter(), time.process_time()
-        outcome = method.advance(index)
+        outcome = leg.advance(method, index)
         metrics = _measure(outcome, record, threads)
+        observed = stopping.observe(index, metrics["s2t"])
         events = [
-            *_placed(record, index),
-            *outcome.events,
-            *stopping.observe(index, metrics["s2t"]),
+            *(_placed(leg.whole) if leg.first + index == 0 else ()),
+            *(leg.event(event) for event in (*outcome.events, *observed)),
         ]
         if stopping.stopped or index == config.frames - 1:
             metrics |= _measure_fill(outcome, record, threads)
@@ -277,28 +354,43 @@ def _frames(
         metrics["max_move"] = _max_move(before, outcome.positions)
         before = outcome.positions
         frame = Frame(
-            index=index,
+            index=leg.first + index,
             positions=outcome.positions,
             metrics=metrics,
             events=tuple(events),
             seconds=time.perf_counter() - wall,
             cpu_seconds=time.process_time() - cpu,
             det_f=_det_f(outcome),
+            leg=leg.index,
         )
         if spool:
             documents = [event.document() for event in events]
-            spool.append(index, frame.positions, metrics, documents, frame.det_f)
-            spool.save_checkpoint(index, method.state(), stopping.state())
+            spool.append(
+                frame.index, frame.positions, metrics, documents, frame.det_f, leg=leg.index
+            )
+            spool.save_checkpoint(frame.index, method.state(), stopping.state())
         yield frame
 
 
-def _placed(record: RunRecord, frame: int) -> list[Event]:
-    """What the fit of the shapes has done, told with the first frame."""
+def _stored_frames(spool: Spool) -> Iterator[Frame]:
+    for index in range(spool.frame_count):
+        yield Frame(
+            index=index,
+            positions=spool.positions(index),
+            metrics=spool.metrics(index),
+            events=tuple(Event(**e) for e in spool.events if e["frame"] == index),
+            seconds=0.0,
+            cpu_seconds=0.0,
+            det_f=spool.det_f(index),
+            leg=spool.leg_of(index),
+        )
+
+
+def _placed(record: RunRecord) -> list[Event]:
+    """What the fit of the shapes has done."""
     placement = record.placement
-    if frame or not placement.message:
-        return []
-    data = placement.model_dump(mode="json", include={"source", "target"})
-    return [Event(0, "placement", placement.message, data)]
+    data = placement.model_dump(mode="json", include={"source", "via", "target", "up"})
+    return [Event(0, "placement", message, data) for message in placement.messages]
 
 
 def _det_f(outcome: FrameOutcome) -> NDArray[np.float32] | None:

@@ -58,6 +58,27 @@ class SamplingConfig(Section):
     )
 
 
+class PoseConfig(Section):
+    """How a shape is turned, and what is added to where the fit puts it."""
+
+    up: Literal["auto", "y", "z"] = Field(
+        "auto", description="Its upward axis; auto: as its file tells, if it does."
+    )
+    rotate: Vector = Field(
+        (0.0, 0.0, 0.0),
+        description="Turns about x, y and z through its centre, that about z first [degrees].",
+    )
+    scale: Positive = Field(1.0, description="Factor about its centre, beside that of the fit.")
+    move: Vector = Field((0.0, 0.0, 0.0), description="Shift after the fit [grid units].")
+
+
+class PlacementConfig(Section):
+    """How the two ends of a morph stand to each other."""
+
+    source: PoseConfig = PoseConfig()
+    target: PoseConfig = PoseConfig()
+
+
 class MaterialConfig(Section):
     """Elastic material (algorithm 0, 2.2, 2.8)."""
 
@@ -253,4 +274,5 @@ class SharedConfig(Section):
     f1_tau: Positive = Field(0.2, description="Threshold of F1 [grid units].")
     grid: GridConfig = GridConfig()
     sampling: SamplingConfig = SamplingConfig()
+    placement: PlacementConfig = PlacementConfig()
     stopping: StoppingConfig = StoppingConfig()

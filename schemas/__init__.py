@@ -5,34 +5,60 @@ from __future__ import annotations
 from chamfer_morph.schemas.catalog import ExportFormat, ParticleField, Resource
 from chamfer_morph.schemas.events import Event, EventPage
 from chamfer_morph.schemas.exports import Export, ExportRequest
-from chamfer_morph.schemas.jobs import Job, JobPage, JobRequest, JobState, Outcome, Progress
+from chamfer_morph.schemas.jobs import (
+    ForkOrigin,
+    ForkRequest,
+    Job,
+    JobPage,
+    JobRequest,
+    JobState,
+    Outcome,
+    Progress,
+)
 from chamfer_morph.schemas.keys import Key, KeyRequest, NewKey
 from chamfer_morph.schemas.meshes import Mesh, MeshPage
+from chamfer_morph.schemas.playback import Playback
 from chamfer_morph.schemas.problems import Problem, ProblemDocument
 from chamfer_morph.schemas.queue import QueueStatus
 from chamfer_morph.schemas.shapes import BuiltInShape, MeshShape, Shape
 from chamfer_morph.schemas.sweeps import Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.types import (
     Device,
+    Easing,
     Fit,
     FrameFormat,
     JobStage,
+    Repeat,
     Scope,
     Sha256,
     SurfaceFormat,
     Units,
 )
+from chamfer_morph.schemas.webhooks import (
+    Delivery,
+    DeliveryAttempt,
+    DeliveryPage,
+    NewWebhook,
+    Webhook,
+    WebhookRequest,
+)
 from chamfer_morph.schemas.workers import WorkerStatus
 
 __all__ = [
     "BuiltInShape",
+    "Delivery",
+    "DeliveryAttempt",
+    "DeliveryPage",
     "Device",
+    "Easing",
     "Event",
     "EventPage",
     "Export",
     "ExportFormat",
     "ExportRequest",
     "Fit",
+    "ForkOrigin",
+    "ForkRequest",
     "FrameFormat",
     "Job",
     "JobPage",
@@ -45,12 +71,15 @@ __all__ = [
     "MeshPage",
     "MeshShape",
     "NewKey",
+    "NewWebhook",
     "Outcome",
     "ParticleField",
+    "Playback",
     "Problem",
     "ProblemDocument",
     "Progress",
     "QueueStatus",
+    "Repeat",
     "Resource",
     "Scope",
     "Sha256",
@@ -60,5 +89,7 @@ __all__ = [
     "SweepRequest",
     "SweepRow",
     "Units",
+    "Webhook",
+    "WebhookRequest",
     "WorkerStatus",
 ]

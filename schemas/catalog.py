@@ -35,5 +35,10 @@ class ExportFormat(BaseModel):
         description="One frame a file, all in one, or numbers without geometry."
     )
     carries: list[Literal["points", "surface", "fields", "tracked"]]
+    timed: bool = Field(
+        False,
+        description="Whether it may be played in a time of its own; of kind `frame` only as a "
+        "tracked surface.",
+    )
     extra: str | None = Field(description="Extra of the package that the service must have for it.")
     description: str

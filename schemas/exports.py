@@ -7,7 +7,11 @@ from typing import Literal
 from pydantic import BaseModel, Field
 
 from chamfer_morph.schemas.problems import Problem
-from chamfer_morph.schemas.types import Request, Units
+from chamfer_morph.schemas.types import Easing, Repeat, Request, Units
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class ExportRequest(Request):
@@ -29,6 +33,29 @@ class ExportRequest(Request):
     )
     fps: float | None = Field(
         None, ge=1, le=120, description="Frames per second: 24, or 12 in videos, by default."
+    )
+    seconds: float | None = Field(
+        None,
+        gt=0,
+        le=3600,
+        description="Duration of what is played, with its rests: a video, a tracked GLB or HTML. "
+        "All frames are shown, and what lies between them; `fps` is 30 then by default.",
+        exclude_if=_is_none,
+    )
+    hold: float | None = Field(
+        None, ge=0, le=600, description="Rest at each shape [s].", exclude_if=_is_none
+    )
+    easing: Easing | None = Field(
+        None,
+        description="Pace between two shapes: `linear` is even; `in-out`, which is usual, slow at "
+        "both; `overshoot` goes past the end and returns.",
+        exclude_if=_is_none,
+    )
+    repeat: Repeat | None = Field(
+        None,
+        description="`loop` ends as it begins, for jobs that come back to their first shape; "
+        "`ping-pong` plays to the end and back.",
+        exclude_if=_is_none,
     )
     units: Units = Field(
         "user",

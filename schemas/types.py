@@ -17,6 +17,9 @@ of either all the time; or grid units."""
 Fit = Literal["auto", "none", "volume", "extent"]
 """How a shape is placed in the domain; `auto` scales only what needs it."""
 
+Up = Literal["y", "z"]
+"""The axis that points upwards."""
+
 JobStage = Literal["filling", "preparing", "computing"]
 """What goes on before the first frame of an attempt."""
 
@@ -27,3 +30,10 @@ Name = Annotated[str, Field(max_length=200, pattern=r"^[^\x00]*$")]
 
 class Request(BaseModel, extra="forbid", strict=True, allow_inf_nan=False):
     """Base of request bodies: unknown fields and other types are errors."""
+
+
+Easing = Literal["linear", "in-out", "overshoot"]
+"""Pace between two shapes, see `ExportRequest`."""
+
+Repeat = Literal["none", "loop", "ping-pong"]
+"""How what is played ends, see `ExportRequest`."""

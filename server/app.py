@@ -21,17 +21,20 @@ from chamfer_morph.server.routes import (
     exports,
     fields,
     health,
+    job_colors,
     job_shapes,
     jobs,
     keys,
     meshes,
     particles,
+    playback,
     queue,
     results,
     surfaces,
     sweeps,
     thumbnails,
     web_page,
+    webhooks,
     workers,
 )
 from chamfer_morph.worker.settings import Settings
@@ -43,8 +46,8 @@ Every error is an RFC 9457 problem with the cause in `detail` and what to do abo
 """
 
 ROUTERS = (
-    meshes, jobs, results, job_shapes, fields, surfaces, thumbnails, exports, events, sweeps,
-    catalog, particles, queue, keys, workers,
+    meshes, jobs, results, job_shapes, job_colors, fields, surfaces, thumbnails, playback, exports,
+    events, sweeps, catalog, particles, queue, webhooks, keys, workers,
 )  # fmt: skip
 
 

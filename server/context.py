@@ -29,6 +29,7 @@ from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import WorkerSlots
 from chamfer_morph.worker.storage import Storage, open_storage
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 Result = TypeVar("Result")
 
@@ -50,6 +51,7 @@ class ServerContext:
     def __init__(self, settings: Settings) -> None:
         self.settings: Settings = settings
         self.storage: Storage = open_storage(settings, "api")
+        self.store_is_away_until: float = float("-inf")
         self.queue: JobQueue = JobQueue(settings)
         self.queue.migrate()
         self.engine: sa.Engine = database(settings)
@@ -60,6 +62,7 @@ class ServerContext:
         )
         self.meshes: MeshStore = MeshStore(self.engine)
         self.worker_slots: WorkerSlots = WorkerSlots(self.engine)
+        self.webhooks: Webhooks = Webhooks(self.engine)
         self.sweeps: SweepStore = SweepStore(self.engine)
         self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
         self.quotas: Quotas = Quotas(

@@ -100,6 +100,24 @@ class Quotas:
             yield reserved.release_one
 
     @contextmanager
+    def letting_in_webhook(self, owner: str, count: Callable[[], int]) -> Iterator[None]:
+        """Refuse more webhooks than a key may have.
+
+        Args:
+            owner: Name of the key.
+            count: Counts those it has.
+
+        Raises:
+            ProblemError: 429.
+        """
+        limit = self._settings.webhooks_per_key
+        with self._reservations.reserving("webhooks", owner, 1, limit, count) as reserved:
+            if reserved.refused:
+                cause = f"This key has {reserved.there} webhooks, and may have {limit}."
+                raise _refusal(429, cause, "Delete those that are not needed any more.")
+            yield
+
+    @contextmanager
     def letting_in_meshes(self, owner: str, adding: int = 1) -> Iterator[Incoming]:
         """Refuse more uploads than a key may keep, or any when its disk is full.
 

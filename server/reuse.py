@@ -25,7 +25,8 @@ TAKEOVER_SECONDS = 60.0
 
 def run_digest(spec: JobSpec) -> str:
     """What tells two runs apart, as one SHA-256; how long they may take is no part of it."""
-    return hashlib.sha256(spec.model_dump_json(exclude={"timeout_seconds"}).encode()).hexdigest()
+    exclude = {"timeout_seconds", "states_every"} | (set() if spec.fork else {"fork"})
+    return hashlib.sha256(spec.model_dump_json(exclude=exclude).encode()).hexdigest()
 
 
 def find_equal(spec: JobSpec, owner: str, queue: JobQueue, storage: Storage) -> JobRecord | None:
@@ -58,7 +59,8 @@ def take_over(equal: JobRecord, job_id: str, queue: JobQueue, storage: Storage) 
         with suppress(StoreUnavailableError):
             storage.remove_job(job_id)
     else:
-        queue.finish(job_id, equal.outcome)
+        first = str(equal.attributes.get("reused_from", equal.id))
+        queue.finish(job_id, equal.outcome, {"reused_from": first})
 
 
 def _link(source: Path, target: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from chamfer_morph.server.http.problems import ProblemError
 from morph_engine.errors import MeshError
 from morph_engine.geometry import shapes
 from morph_engine.geometry.placement import Solid
+from morph_engine.geometry.upward import BY_FORMAT
 
 _one_at_a_time = threading.Lock()
 
 
 def find_solid(
-    shape: Shape, caller: Caller, context: ServerContext, loc: tuple[str, ...]
+    shape: Shape, caller: Caller, context: ServerContext, loc: tuple[str | int, ...]
 ) -> tuple[Solid, str]:
     """What placing a shape needs to know of it, and the shape's name.
 
@@ -46,7 +48,8 @@ def find_solid(
     report = context.storage.mesh_report(shape.mesh)
     if report is None:
         raise MeshError(f"The mesh {row.name} has been deleted meanwhile.", "Upload it again.")
-    return Solid(report["volume"], np.array(report["bounds"], np.float64)), row.name
+    up = report["up"] if "up" in report else BY_FORMAT.get(Path(row.name).suffix[1:].lower())
+    return Solid(report["volume"], np.array(report["bounds"], np.float64), up=up), row.name
 
 
 def _built_in(name: str) -> Solid:

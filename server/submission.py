@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from chamfer_morph.schemas import JobRequest
+from chamfer_morph.schemas import JobRequest, Shape
 from chamfer_morph.schemas.ids import derived_id
+from chamfer_morph.schemas.jobs import JobOptions, JobPlacement
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
@@ -22,11 +24,12 @@ from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.settings import Settings
 from morph_engine import presets
 from morph_engine.config import MorphConfig
-from morph_engine.cost import estimate
+from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import ConfigError, MeshError, ResourceError
-from morph_engine.geometry.placement import Solid, place
+from morph_engine.geometry.placement import Placement, Solid, place
 from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
 from morph_engine.machine_memory import total_memory
+from morph_engine.results.run_record import config_at
 
 ROUNDNESS = 1.15
 """Radius of the ball around a shape over its largest coordinate: 1.02 to 1.26 for the paper's."""
@@ -57,42 +60,49 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         ProblemError: 422, a mesh is unknown.
     """
     config = configure(request)
-    source, source_name = find_solid(request.source, caller, context, ("body", "source", "mesh"))
-    target, target_name = find_solid(request.target, caller, context, ("body", "target", "mesh"))
-    placement = place(source, target, fit=config.sampling.fit, half_extent=config.domain)
-    particles = _particle_count(source_name, source, placement.source, config)
-    targets = _particle_count(target_name, target, placement.target, config)
-    expected = estimate(
-        particles,
-        targets,
-        config.frames,
-        method=config.method.name,
-        threads=context.settings.threads or None,
-        nodes=config.method.node_count(
-            config,
-            radius=max(_radius(source, placement.source), _radius(target, placement.target)),
-            ratio=targets / particles,
-        ),
+    if request.via:
+        config.method.check_legs(len(request.via) + 1)
+    asked: dict[tuple[str | int, ...], Shape] = {
+        ("source",): request.source,
+        **{("via", index): shape for index, shape in enumerate(request.via)},
+        ("target",): request.target,
+    }
+    found = [
+        find_solid(shape, caller, context, ("body", *loc, "mesh")) for loc, shape in asked.items()
+    ]
+    solids, names = [solid for solid, _ in found], [name for _, name in found]
+    placement = place(
+        solids[0],
+        solids[-1],
+        via=solids[1:-1],
+        fit=config.sampling.fit,
+        half_extent=config.domain,
+        poses=config.placement,
     )
+    expected = _estimate(names, solids, placement, config, context.settings)
     _check_memory(expected.memory_mb, context.settings)
     limit = context.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,
+        via=tuple(request.via),
         target=request.target,
         config=config,
         device=request.device,
         timeout_seconds=min(request.timeout_seconds or limit, limit),
+        states_every=request.states_every,
     )
     return Submission(
         spec=spec,
         attributes={
             "name": request.name,
-            "body": body_digest(request.model_dump(mode="json", exclude={"reuse"})),
+            "body": request_digest(request),
             "run": run_digest(spec),
             "method": config.method.name,
             "preset": request.preset,
-            "source_name": source_name,
-            "target_name": target_name,
+            "source_name": names[0],
+            **({"via_names": json.dumps(names[1:-1])} if request.via else {}),
+            "target_name": names[-1],
+            "placement": _job_placement(placement).model_dump_json(),
             "estimate": expected.seconds,
         },
         priority=request.priority,
@@ -100,9 +110,50 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
     )
 
 
+def _estimate(
+    names: Sequence[str],
+    solids: Sequence[Solid],
+    placement: Placement,
+    config: MorphConfig,
+    settings: Settings,
+) -> Estimate:
+    """What a job will cost, whose shapes are these in their order.
+
+    Raises:
+        MeshError: A shape reaches beyond the domain, or has room for too few particles.
+    """
+    counts = [
+        _particle_count(*shape, config)
+        for shape in zip(names, solids, placement.stops, strict=True)
+    ]
+    radii = [_radius(*shape) for shape in zip(solids, placement.stops, strict=True)]
+    ratios = [after / before for before, after in pairwise(counts)]
+    nodes = [
+        config.method.node_count(
+            config_at(config, (counts[leg] / counts[0]) ** (1 / 3)),
+            radius=max(radii[leg : leg + 2]),
+            ratio=ratio,
+        )
+        for leg, ratio in enumerate(ratios)
+    ]
+    return estimate(
+        counts[0],
+        round(counts[0] * max(ratios)),
+        config.frames * len(ratios),
+        method=config.method.name,
+        threads=settings.threads or None,
+        nodes=max(nodes),
+    )
+
+
+def _job_placement(placement: Placement) -> JobPlacement:
+    source, target = (end.matrix.tolist() for end in (placement.source, placement.target))
+    return JobPlacement(up=placement.up, source=source, target=target)
+
+
 def _radius(solid: Solid, to_grid: Similarity) -> float:
     """About the radius of the ball around the origin that holds a shape [dx]."""
-    return ROUNDNESS * float(np.abs(to_grid.apply(solid.bounds)).max())
+    return ROUNDNESS * float(np.abs(to_grid.box(solid.bounds)).max())
 
 
 def _check_memory(needed_mb: float, settings: Settings) -> None:
@@ -187,6 +238,12 @@ def idempotent_id(kind: str, caller: Caller, key: str) -> str:
     return derived_id(f"{kind}\0{caller.name}\0{key}")
 
 
+def request_digest(request: JobOptions) -> str:
+    """What tells two requests apart, the same by every version of the service."""
+    exclude = {"reuse"} | (set() if request.states_every else {"states_every"})
+    return body_digest(request.model_dump(mode="json", exclude=exclude))
+
+
 def body_digest(body: Mapping[str, Any]) -> str:
     """What tells two requests apart."""
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
@@ -207,7 +264,7 @@ def _particle_count(name: str, solid: Solid, to_grid: Similarity, config: MorphC
     Raises:
         MeshError: It reaches beyond the domain, or has room for too few.
     """
-    reach = float(np.abs(to_grid.apply(solid.bounds)).max())
+    reach = float(np.abs(to_grid.box(solid.bounds)).max())
     if reach > config.domain:
         raise MeshError(
             f"{name} reaches {reach:.4g} grid units from the centre, and the domain ends at "

@@ -69,7 +69,23 @@ def database_url(request: pytest.FixtureRequest) -> Iterator[str]:
     if request.param == "sqlite":
         yield ""
         return
-    server = request.getfixturevalue("postgres")
+    with empty_database(request.getfixturevalue("postgres")) as url:
+        yield url
+
+
+@pytest.fixture
+def other_database_url(database_url: str, request: pytest.FixtureRequest) -> Iterator[str]:
+    """A second database of the same kind."""
+    if not database_url:
+        yield ""
+        return
+    with empty_database(request.getfixturevalue("postgres")) as url:
+        yield url
+
+
+@contextmanager
+def empty_database(server: str) -> Iterator[str]:
+    """A database on a Postgres server, which is dropped afterwards."""
     name = f"morph_{uuid.uuid4().hex}"
     with psycopg.connect(server, autocommit=True) as connection:
         connection.execute(f"create database {name}")

@@ -15,6 +15,7 @@ from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
+from morph_engine.machine_memory import total_memory
 
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5
@@ -61,9 +62,10 @@ async def run_attempt(
         What the job left behind.
 
     Raises:
-        AttemptFailed: The engine refused the job, died or hung.
+        AttemptFailed: The engine refused the job, died, hung, or took more memory than jobs may.
     """
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
+    largest = settings.job_memory_bytes or total_memory()
     engine = spare.take(spec, job_dir)
     engine.assign(job_dir, attempt)
     ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
@@ -72,6 +74,9 @@ async def run_attempt(
             await asyncio.wait({ended}, timeout=HEARTBEAT_SECONDS)
             await heartbeat()
             engine.beat()
+            if engine.peak_memory > largest:
+                engine.kill()
+                raise AttemptFailed(_too_large(engine, largest), engine.frames)
             if time.monotonic() - engine.last_message_at > settings.stall_seconds:
                 raise AttemptFailed(_hang(settings), engine.frames)
     except BaseException:
@@ -102,6 +107,16 @@ def _hang(settings: Settings) -> Problem:
         cause=f"The engine finished no frame for {settings.stall_seconds:g} s and was stopped.",
         remedy="Try fewer points per cell edge, or raise MORPH_STALL_SECONDS.",
         kind="hang",
+    )
+
+
+def _too_large(engine: Engine, largest: int) -> Problem:
+    return Problem(
+        cause=f"The engine took {engine.peak_memory / 1e6:,.0f} MB of memory, where jobs may have "
+        f"{largest / 1e6:,.0f} MB, and was stopped.",
+        remedy="Lower `sampling.points_per_cell_edge`, raise `grid.dx`, or raise "
+        "MORPH_JOB_MEMORY_BYTES.",
+        kind="resources",
     )
 
 

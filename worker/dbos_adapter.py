@@ -26,6 +26,7 @@ from dbos._serialization import DefaultSerializer
 from chamfer_morph.worker.alarm import Alarm
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.tables import create_missing
 from morph_engine.errors import ConfigError
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -88,6 +89,13 @@ class WorkflowTable:
         """
         return self._table("workflow_output", OUTCOME_COLUMNS)
 
+    @property
+    def name(self) -> str:
+        """The name of the table, with its schema."""
+        schemas = self._engine.get_execution_options().get("schema_translate_map") or {}
+        schema = schemas.get(self.table.schema, self.table.schema)
+        return f'"{schema}".{self.table.name}' if schema else self.table.name
+
     def rows(self, query: Any, values: Mapping[str, Any] | None = None) -> Sequence[Any]:
         """The rows of a query; asked again if its connection turns out to have died in the pool."""
         try:
@@ -103,17 +111,28 @@ class WorkflowTable:
             with self._reader.connect() as connection:
                 connection.execute(sa.select(sa.func.pg_notify(channel, "")))
 
+    def create_missing(self, table: sa.Table) -> None:
+        """Create a table beside that of workflows where it is missing."""
+        create_missing(self._engine, table)
+
     def begin(self) -> AbstractContextManager[sa.Connection]:
         """A transaction that changes the table."""
         return self._engine.begin()
 
+    def attribute(self, name: str) -> sa.ColumnElement[str]:
+        """A text attached to a workflow, spelled as in its index."""
+        if self._reader.dialect.name == "postgresql":
+            return sa.literal_column(f"(attributes ->> '{name}')", sa.String)
+        return sa.literal_column(f"json_extract(attributes, '$.{name}')", sa.String)
+
     def create_indexes(self) -> None:
-        """Create what lists of jobs are read by: all of them, and an owner's, by age."""
+        """Create what jobs are read by: all of them, and an owner's, by age; equal ones by run."""
         c = self.table.c
         age = sa.cast(c.created_at, sa.BigInteger)
         indexes = (
             sa.Index("morph_jobs_by_age", age, c.workflow_uuid),
             sa.Index("morph_jobs_by_owner", c.authenticated_user, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_run", self.attribute("run"), c.workflow_uuid),
         )
         with self.begin() as connection:
             if connection.dialect.name == "postgresql":

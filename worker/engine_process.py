@@ -27,6 +27,7 @@ from chamfer_morph.schemas import JobStage, Outcome, Problem
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
 from chamfer_morph.worker.job import JobSpec, problem_of
+from chamfer_morph.worker.kept_states import keep_state
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
 from morph_engine import backend, kept_results
@@ -93,6 +94,11 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
     resume = record is not None
     if record is None and _is_complete(out):
         return _outcome(out, cpu)
+    if record is None and spec.fork:
+        raise ResultError(
+            "The frames that the job was to begin with are gone or damaged.",
+            f"Fork job {spec.fork.job} again.",
+        )
     earlier = log.read(limit=10**9)
     resumed = _checkpointed(out) if resume else 0
     method = (record or spec).config.method.name
@@ -104,8 +110,8 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
 
     if record is None:
         enter("filling")
-        source, target = storage.resolve(spec.source), storage.resolve(spec.target)
-        record = prepare(source, target, spec.config)
+        source, *targets = [storage.resolve(shape) for shape in spec.shapes]
+        record = prepare(source, targets, spec.config)
     _send("started", {"extent": extent_of(record)})
     frames = run(
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True,
@@ -116,11 +122,15 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:
                 log.append("watchdog", dict(event.document()))
-            about = {"frame": frame.index, "frames": record.config.frames, "attempt": attempt}
+            about = {"frame": frame.index, "frames": record.planned_frames, "attempt": attempt}
+            if record.leg_count > 1:
+                about |= {"leg": frame.leg, "legs": record.leg_count}
             log.append("frame", about | {"metrics": frame.metrics, "seconds": frame.seconds})
             _send("frame", {"frame": frame.index})
+        if frame.index >= resumed - 1 and _is_kept(frame.index, spec):
+            keep_state(storage, job_id, frame.index)
     codes = {code, *(event.data.get("code") for event in earlier if event.type == "attempt")}
-    of_one_code = code if not resumed or len(codes) == 1 else ""
+    of_one_code = code if not spec.fork and (not resumed or len(codes) == 1) else ""
     provenance = provenance_by_now(method).model_copy(
         update={
             "code": of_one_code,
@@ -130,6 +140,11 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
     )
     outcome = _outcome(out, cpu)
     return outcome.model_copy(update={"provenance": provenance.model_dump(mode="json")})
+
+
+def _is_kept(frame: int, spec: JobSpec) -> bool:
+    """Whether the state after a frame is kept."""
+    return spec.states_every > 0 and (frame + 1) % spec.states_every == 0
 
 
 def _code(method: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,10 +30,35 @@ class Frame:
     Attributes:
         index: Its index, from 0.
         positions: Particle positions [grid units], shape [n, 3], float32.
+        leg: Index of the leg that it belongs to, of a morph through several shapes.
     """
 
     index: int
     positions: NDArray[np.float32]
+    leg: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Colors:
+    """Colours of the particles of a job.
+
+    Attributes:
+        rgb: What they are in each shape of the job, sRGB, shape [shapes, n, 3], uint8.
+        reached: Number of frames after which each shape is reached, ascending from 0.
+    """
+
+    rgb: NDArray[np.uint8]
+    reached: list[int]
+
+    def at(self, frame: int) -> NDArray[np.uint8]:
+        """Those in a frame, sRGB, shape [n, 3], uint8."""
+        from morph_engine import srgb
+        from morph_engine.results.colors import blended
+
+        ahead = min(bisect.bisect_left(self.reached, frame + 1), len(self.reached) - 1)
+        begin, end = self.reached[ahead - 1], self.reached[ahead]
+        one, other = srgb.from_bytes(self.rgb[ahead - 1 : ahead + 1])
+        return srgb.to_bytes(blended(one, other, (frame + 1 - begin) / (end - begin)))
 
 
 def read_frame(result: Path, index: int) -> Frame | None:
@@ -49,7 +76,8 @@ def read_frame(result: Path, index: int) -> Frame | None:
         count = run.frame_count
         if not -count <= index < count:
             return None
-        return Frame(index % count, run.positions(index % count))
+        frame = index % count
+        return Frame(frame, run.positions(frame), run.leg_of(frame))
 
     return _read(result, read)
 
@@ -63,6 +91,25 @@ def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
         ResultError: It is damaged.
     """
     return _read(result, lambda run: run.det_f(index))
+
+
+def read_colors(result: Path) -> Colors | None:
+    """Colours of the particles of a job; None where no shape has any, or it has not begun.
+
+    Raises:
+        ResultError: It is damaged.
+    """
+
+    def read(run: SpoolReader | Trajectory) -> Colors | None:
+        from morph_engine.results.colors import particle_colors
+
+        colors = run.colors if isinstance(run, Trajectory) else particle_colors(run)
+        if colors is None:
+            return None
+        frames = [run.planned_frames_of(leg) for leg in range(len(colors) - 1)]
+        return Colors(colors, [0, *itertools.accumulate(frames)])
+
+    return _read(result, read)
 
 
 def read_transform(result: Path, index: int, units: Units) -> NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""Adoption of jobs whose worker is gone, retention of finished ones, and what a kill left over."""
+"""Adoption of jobs whose worker is gone, retention of finished ones, and what a kill left over.
+
+The process sends messages to webhooks, too.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import contextlib
 import logging
 import subprocess
 import time
+from collections.abc import Callable
 
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
@@ -14,6 +18,8 @@ from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.retention.steady_clock import SteadyClock
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage, open_storage
+from chamfer_morph.worker.webhooks import delivery
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 from morph_engine.child_process import python_command
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -25,12 +31,25 @@ ABANDONED_SECONDS = 3600.0
 """An upload that has not grown for so long belongs to nobody: its API was killed."""
 
 
-def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
+def adopt_in_process(executor: str) -> None:
+    """Queue the jobs of a dead worker again, by a short-lived process that takes on its name."""
+    subprocess.run(
+        python_command("chamfer_morph.worker", "adopt", executor),
+        timeout=ADOPTION_LIMIT_SECONDS, check=True,
+    )  # fmt: skip
+
+
+def adopt_orphans(
+    settings: Settings, queue: JobQueue, adopt: Callable[[str], None] = adopt_in_process
+) -> list[str]:
     """Put the jobs of dead workers back into the queue.
 
-    A short-lived process takes on the name of each dead worker: at its start it finds the jobs
-    that the worker left and queues them again. The worker's lock, held meanwhile, keeps a second
-    janitor and the worker itself away.
+    A worker's lock, held meanwhile, keeps a second janitor and the worker itself away.
+
+    Args:
+        settings: Where the locks are.
+        queue: The queue.
+        adopt: Queues the jobs of a dead worker, whose name it is given, again.
 
     Returns:
         Names of the workers found dead.
@@ -44,10 +63,7 @@ def adopt_orphans(settings: Settings, queue: JobQueue) -> list[str]:
             if executor not in queue.running():  # another janitor came first
                 continue
             log.warning("worker %s is gone; its jobs go back into the queue", executor)
-            subprocess.run(
-                python_command("chamfer_morph.worker", "adopt", executor),
-                timeout=ADOPTION_LIMIT_SECONDS, check=True,
-            )  # fmt: skip
+            adopt(executor)
             dead.append(executor)
         finally:
             lock.release()
@@ -136,6 +152,8 @@ def run(settings: Settings) -> None:
     storage = open_storage(settings, "janitor")
     sizes = JobSizes(database(settings), queue, storage)
     clock = SteadyClock(settings.data_dir / "locks" / "clock")
+    webhooks = Webhooks(database(settings, kept=1))
+    delivery.start(settings)
     next_deletion = 0.0
     while True:
         try:
@@ -146,6 +164,7 @@ def run(settings: Settings) -> None:
                     log.warning("the clock has jumped; for a day no job is deleted for its age")
                 delete_expired(settings, queue, sizes, by_age=steady)
                 delete_abandoned_uploads(storage)
+                webhooks.forget_old()
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")

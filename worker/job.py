@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from chamfer_morph.schemas import Device, Problem, Shape
+from chamfer_morph.schemas import Device, ForkOrigin, Problem, Shape
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 
@@ -15,10 +15,27 @@ class JobSpec(BaseModel, frozen=True, extra="forbid"):
     """Everything that a job needs, fixed when it is submitted."""
 
     source: Shape
+    via: tuple[Shape, ...] = Field(
+        (), description="Shapes between them.", exclude_if=lambda via: not via
+    )
     target: Shape
     config: Annotated[MorphConfig, BeforeValidator(stored_config)]
     device: Device = "auto"
     timeout_seconds: float = Field(gt=0, description="Running time after which it is stopped [s].")
+    states_every: int = Field(0, ge=0, description="Frames between two states kept; 0 for none.")
+    fork: ForkOrigin | None = Field(
+        None, description="Where its first frames come from, if not computed by itself."
+    )
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All shapes in their order, from the source to the target."""
+        return (self.source, *self.via, self.target)
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames of all legs."""
+        return self.config.frames * (len(self.via) + 1)
 
 
 def problem_of(error: MorphError) -> Problem:

@@ -18,6 +18,9 @@ _BY_STATUS = {
     "CANCELLED": JobState.CANCELLED,
 }
 
+STATUSES: tuple[str, ...] = tuple(_BY_STATUS)
+"""Every status that a workflow may have."""
+
 _ACTIONS: dict[JobState, frozenset[Action]] = {
     JobState.QUEUED: frozenset({"cancel", "next"}),
     JobState.RUNNING: frozenset({"cancel"}),

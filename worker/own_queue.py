@@ -40,10 +40,7 @@ class OwnQueue:
 
     def create_table(self) -> None:
         """Create what is missing."""
-        with self._workflows.begin() as connection:
-            if connection.dialect.name == "postgresql":
-                connection.execute(sa.text("select pg_advisory_xact_lock(7310248)"))
-            connection.execute(sa.schema.CreateTable(_PAUSED_OWNERS, if_not_exists=True))
+        self._workflows.create_missing(_PAUSED_OWNERS)
 
     def is_paused(self, owner: str) -> bool:
         """Whether no more jobs of an owner are started."""

@@ -39,7 +39,7 @@ class JobProgress:
 
 def read_progress(storage: Storage, job_id: str, spec: JobSpec) -> JobProgress:
     """The progress of a job; none where its log is damaged, which must not hide other jobs."""
-    log, frames = storage.events(job_id), spec.config.frames
+    log, frames = storage.events(job_id), spec.frame_count
     try:
         return _progress(log, log.version(), frames)
     except (OSError, LookupError, TypeError, ValueError, AttributeError):

@@ -45,6 +45,8 @@ from chamfer_morph.worker.own_queue import (
 )
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import StoreUnavailableError, open_storage
+from chamfer_morph.worker.webhooks.job_changes import create_triggers
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 APPLICATION = "morph"
 APPLICATION_VERSION = "1"
@@ -135,6 +137,9 @@ class JobQueue:
         migrate(self._settings)
         self._workflows.create_indexes()
         self._own.create_table()
+        Webhooks.create_tables(self._engine)
+        with self._workflows.begin() as connection:
+            create_triggers(connection, self._workflows.name)
         self._client.register_queue(
             QUEUE,
             worker_concurrency=1,
@@ -190,16 +195,25 @@ class JobQueue:
         self.wake_workers()
         return True
 
-    def finish(self, job_id: str, outcome: Outcome) -> bool:
-        """Let a job that waits for its delay succeed with this; False if it waits no more."""
+    def finish(self, job_id: str, outcome: Outcome, attributes: Mapping[str, str]) -> bool:
+        """Let a job that waits for its delay succeed; False if it waits no more.
+
+        Args:
+            job_id: The job.
+            outcome: What it has left.
+            attributes: More to attach.
+        """
         c, now = self._table.c, round(time.time() * 1000)
         done = {"status": "SUCCESS", "started_at_epoch_ms": now, "completed_at": now}
         waiting = (c.workflow_uuid == job_id) & (c.status == "DELAYED")
         output = SERIALIZER.serialize(outcome.model_dump(mode="json"))
         with self._workflows.begin() as connection:
-            change = sa.update(self._table).where(waiting).values(done | {"updated_at": now})
-            if not connection.execute(change).rowcount:
+            query = sa.select(c.attributes).where(waiting).with_for_update()
+            found = connection.execute(query).one_or_none()
+            if found is None:
                 return False
+            done |= {"updated_at": now, "attributes": {**(found[0] or {}), **attributes}}
+            connection.execute(sa.update(self._table).where(waiting).values(done))
             row = {"workflow_uuid": job_id, "output": output}
             connection.execute(sa.insert(self._workflows.outcomes).values(row))
         return True
@@ -367,10 +381,8 @@ class JobQueue:
 
     def succeeded(self, owner: str, run: str, limit: int = 10) -> list[JobRecord]:
         """An owner's jobs that have succeeded with this attribute `run`, the newest first."""
-        c = self._table.c
-        query = self._versions.where(
-            self._owned_by(owner), c.status == "SUCCESS", c.attributes["run"].as_string() == run
-        )
+        c, of_run = self._table.c, self._workflows.attribute("run") == run
+        query = self._versions.where(of_run, self._and_owned_by(owner), c.status == "SUCCESS")
         return self._records(self._rows(query.order_by(c.created_at.desc()).limit(limit)))
 
     def unmeasured(self, owner: str, after: int) -> list[str]:
@@ -408,6 +420,9 @@ class JobQueue:
         Raises:
             JobChangedError: It is not finished, or not there, any more.
         """
+        job = self.get(job_id)
+        if job is None or not job.state.finished:  # the mark of a retry in the queue stays
+            raise JobChangedError("The job is not finished.")
         self._storage.unmark(job_id)
         self._rewind(job_id)
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import os
 from pathlib import Path
 from typing import ClassVar
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from morph_engine.errors import ConfigError
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 MIB = 1 << 20
 GIB = 1 << 30
@@ -69,8 +72,8 @@ class Settings(BaseSettings):
     job_memory_bytes: int = Field(
         0,
         ge=0,
-        description="Jobs that would need more memory are refused; 0: than this machine has "
-        "[bytes].",
+        description="Jobs that would need more memory are refused, and stopped if they take more; "
+        "0: than this machine has [bytes].",
     )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
@@ -118,6 +121,20 @@ class Settings(BaseSettings):
     retention_bytes: int = Field(
         0, ge=0, description="Oldest finished jobs are deleted beyond this size; 0 never [bytes]."
     )
+    webhooks_per_key: int = Field(10, gt=0, description="Webhooks that a key may have.")
+    webhook_networks: str = Field(
+        "",
+        description="Networks that webhooks may reach although they are not public, as "
+        "127.0.0.0/8,10.1.0.0/16.",
+    )
+    webhook_attempts: int = Field(
+        10, ge=1, description="Attempts to deliver a message to a webhook before it is given up."
+    )
+    webhook_retry_seconds: float = Field(
+        5.0,
+        gt=0,
+        description="Pause before the second attempt, about tripled for each further one [s].",
+    )
     watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
     watchers_per_key: int = Field(200, gt=0, description="Event streams of one key among them.")
 
@@ -125,6 +142,17 @@ class Settings(BaseSettings):
     def system_database_url(self) -> str:
         """The database in use, as SQLAlchemy spells it."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'morph.sqlite'}"
+
+    @field_validator("webhook_networks")
+    @classmethod
+    def _read_networks(cls, text: str) -> str:
+        _networks(text)
+        return text
+
+    @property
+    def allowed_webhook_networks(self) -> tuple[Network, ...]:
+        """Networks that webhooks may reach although they are not public."""
+        return _networks(self.webhook_networks)
 
     @property
     def queue_poll_seconds(self) -> float:
@@ -135,6 +163,10 @@ class Settings(BaseSettings):
     def on_postgres(self) -> bool:
         """Whether the queue spans machines."""
         return self.system_database_url.startswith("postgres")
+
+
+def _networks(text: str) -> tuple[Network, ...]:
+    return tuple(ipaddress.ip_network(part.strip()) for part in text.split(",") if part.strip())
 
 
 def load_settings() -> Settings:

@@ -184,6 +184,14 @@ class Storage:
         """The result file of a job; its run directory lies beside it while it runs."""
         return self.job_dir(job_id) / "result.vtkhdf"
 
+    def states_dir(self, job_id: str) -> Path:
+        """Where states of a job after some of its frames are kept; it need not be there."""
+        return self.job_dir(job_id) / "states"
+
+    def state_path(self, job_id: str, frame: int) -> Path:
+        """The state of a job after a frame; it need not be there."""
+        return self.states_dir(job_id) / f"{frame:06d}.npz"
+
     def derived_dir(self, job_id: str) -> Path:
         """Where what is computed from a job's frames on request is kept, and goes with the job."""
         return self.job_dir(job_id) / "derived"

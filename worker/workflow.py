@@ -156,7 +156,7 @@ def _take_over(storage: Storage, job_id: str, spec: JobSpec) -> None:
     """See to it that this host, and no other, has what the job needs and has left so far."""
     storage.discard_if_marked(job_id, wait_seconds=LOCK_SECONDS)
     storage.claim(job_id, LOCK_SECONDS)
-    for shape in (spec.source, spec.target):
+    for shape in spec.shapes:
         if isinstance(shape, MeshShape):
             storage.mesh_file(shape.mesh)
     _write_spec(storage.job_dir(job_id), spec)

@@ -8,12 +8,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 from rich.progress import Progress
 
-from chamfer_morph.cli.arguments import check_output, parse_frames, parse_list, parse_size
+from chamfer_morph.cli.arguments import (
+    check_output,
+    parse_camera_keys,
+    parse_frames,
+    parse_list,
+    parse_size,
+)
 from chamfer_morph.cli.interrupt import removing
 from chamfer_morph.cli.option_groups import expand_groups
 from chamfer_morph.cli.options import ForceOption, QuietOption, ServiceOptions
@@ -23,8 +29,11 @@ from morph_engine.errors import ConfigError
 
 if TYPE_CHECKING:
     from morph_engine import export as exports
+    from morph_engine.results.timeline import Timing
 
 PANEL = "Results"
+
+VIDEO_FRAMES_PER_SECOND = 12.0
 
 app: typer.Typer = typer.Typer()
 
@@ -53,6 +62,32 @@ class SelectionOptions:
     quiet: QuietOption = False
 
 
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """How long a result is played, and how; apart from how many frames it has."""
+
+    seconds: Annotated[
+        float | None, typer.Option(help="Duration, with the rests; frames over --fps if absent.")
+    ] = None
+    hold: Annotated[float | None, typer.Option(metavar="SECONDS", help="Rest at each shape.")] = (
+        None
+    )
+    easing: Annotated[
+        Literal["linear", "in-out", "overshoot"] | None,
+        typer.Option(help="Even pace; slow at each shape (usual); or past it and back."),
+    ] = None
+    repeat: Annotated[
+        Literal["none", "loop", "ping-pong"] | None,
+        typer.Option(help="End as it begins, if the run comes back to its first shape; or return."),
+    ] = None
+
+    def timing(self, fps: float | None) -> Timing | None:
+        """What is asked for; None where nothing of it is."""
+        from morph_engine.results.timeline import Timing
+
+        return Timing.of(fps=fps, **vars(self))
+
+
 @app.command(rich_help_panel=PANEL)
 @expand_groups
 def export(
@@ -65,7 +100,8 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help="ply, obj, glb, stl, usd, npz, csv, html, mp4, gif; by the ending if absent."
+            help="ply, obj, glb, stl, usd, npz, csv, html, mp4, webm, mov, gif, png; by the ending "
+            "if absent."
         ),
     ] = None,
     tracked: Annotated[
@@ -74,7 +110,9 @@ def export(
     ] = False,
     fps: Annotated[
         float | None,
-        typer.Option(min=1, max=120, help="Frames per second: 24, or 12 in videos."),
+        typer.Option(
+            min=1, max=120, help="Frames per second: 24, or 12 in videos; 30 of a given time."
+        ),
     ] = None,
     units: Annotated[
         Literal["user", "source", "target", "grid"],
@@ -83,6 +121,7 @@ def export(
     fields: Annotated[
         str, typer.Option(metavar="A,B", help="Fields to carry along, such as speed,det_f.")
     ] = "",
+    playback: PlaybackOptions,
     selection: SelectionOptions,
     service: ServiceOptions,
 ) -> None:
@@ -91,17 +130,19 @@ def export(
 
     name = format or _format_by_suffix(out, exports.FORMATS)
     chosen = parse_list(fields)
+    timing, frames = playback.timing(fps), parse_frames(selection.frames)
     exports.check(
-        name, surface=selection.surface, snap=selection.snap, tracked=tracked, fields=chosen
+        name,
+        surface=selection.surface,
+        snap=selection.snap,
+        tracked=tracked,
+        fields=chosen,
+        frames=frames,
+        timing=timing,
     )
-    frames = parse_frames(selection.frames)
-    notes: list[str] = []
-    with _written_file(result, out, selection, service, notes, format=name) as (
-        path,
-        show_progress,
-    ):
+    with _written_file(result, out, selection, service, format=name) as writing:
         exports.export(
-            path,
+            writing.result,
             out,
             name,
             frames=frames,
@@ -109,10 +150,11 @@ def export(
             snap=selection.snap,
             tracked=tracked,
             fps=fps,
+            timing=timing,
             units=units,
             fields=chosen,
-            watch=show_progress,
-            tell=notes.append,
+            watch=writing.watch,
+            tell=writing.tell,
         )
 
 
@@ -145,10 +187,11 @@ def view(
 
     place = out or Path(tempfile.mkdtemp(prefix="morph-")) / f"{Path(result).stem}.html"
     selection = SelectionOptions(frames=frames, force=force, quiet=quiet)
-    with _written_file(result, place, selection, service, [], format="html") as (path, progress):
+    with _written_file(result, place, selection, service, format="html") as writing:
         exports.export(
-            path, place, "html", frames=parse_frames(frames), tracked=surface, watch=progress
-        )
+            writing.result, place, "html", frames=parse_frames(frames), tracked=surface,
+            watch=writing.watch,
+        )  # fmt: skip
     if browser:
         webbrowser.open(place.absolute().as_uri())
 
@@ -158,7 +201,13 @@ def view(
 def render(
     result: ResultArgument,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="The video; .mp4 (pip install .\\[video]) or .gif.")
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="The video: .gif, or with pip install .\\[video] .mp4, .webm, .mov (ProRes); "
+            ".zip or a folder for PNG files.",
+        ),
     ],
     *,
     color: Annotated[
@@ -166,65 +215,102 @@ def render(
         typer.Option(metavar="FIELD", help="Colour by a field, such as speed or target_distance."),
     ] = None,
     turntable: Annotated[
-        bool, typer.Option("--turntable", help="Turn once around the shape.")
+        bool, typer.Option("--turntable", help="Short for --camera turn.")
     ] = False,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Pixels.")] = "960x720",
-    fps: Annotated[float, typer.Option(min=1, max=60, help="Frames per second.")] = 12.0,
-    up: Annotated[Literal["y", "z"], typer.Option(help="The upward axis.")] = "y",
+    camera: Annotated[
+        Literal["still", "turn", "orbit"],
+        typer.Option(help="The eye rests, goes around once, or goes around, up and down."),
+    ] = "still",
+    camera_key: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SHARE:AZIMUTH,ELEVATION[,ZOOM]",
+            help="Where the eye is at a share of the film, in degrees; once for each place.",
+        ),
+    ] = None,
+    background: Annotated[
+        str, typer.Option(metavar="COLOUR", help="A name, #rrggbb, or transparent.")
+    ] = "white",
+    look: Annotated[
+        str | None,
+        typer.Option(help="As if made of clay, porcelain, jelly, metal, wax or glass."),
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Pixels, up to 4096x4096.")] = "960x720",
+    fps: Annotated[
+        float | None,
+        typer.Option(min=1, max=120, help="Frames per second: 12, or 30 of a given time."),
+    ] = None,
+    up: Annotated[
+        Literal["y", "z"] | None,
+        typer.Option(help="The upward axis; if not given, that of the source."),
+    ] = None,
+    playback: PlaybackOptions,
     selection: SelectionOptions,
     service: ServiceOptions,
 ) -> None:
     """Make a video of a result."""
+    from morph_engine.rendering.camera_path import CameraPath
     from morph_engine.rendering.pictures import video
 
     pixels, frames = parse_size(size), parse_frames(selection.frames)
-    with _written_file(result, out, selection, service, []) as (path, show_progress):
+    path_of_eye = CameraPath("turn" if turntable else camera, parse_camera_keys(camera_key or ()))
+    timing = playback.timing(fps)
+    with _written_file(result, out, selection, service) as writing:
         video(
-            path,
+            writing.result,
             out,
             field=color,
-            turntable=turntable,
             surface=selection.surface,
             snap=selection.snap,
             size=pixels,
-            fps=fps,
+            fps=fps or VIDEO_FRAMES_PER_SECOND,
             frames=frames,
             up=up,
-            watch=show_progress,
+            timing=timing,
+            camera=path_of_eye,
+            background=background,
+            material=look,
+            watch=writing.watch,
         )
 
 
 def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
     for name, known in formats.items():
-        if out.suffix.lower() == known.suffix:
+        if out.suffix.lower() == known.suffix != ".zip":  # which many formats may be in
             return name
     raise ConfigError(
         f"{out.name} says no format.", f"Name one with --format: {', '.join(formats)}."
     )
 
 
+class Writing(NamedTuple):
+    """What a file is written from, and who is told of it.
+
+    Attributes:
+        result: The result.
+        watch: Shows how many frames are done.
+        tell: Takes notes, which are printed at the end.
+    """
+
+    result: Path
+    watch: Callable[[int, int], None]
+    tell: Callable[[str], None]
+
+
 @contextmanager
 def _written_file(
-    result: str,
-    out: Path,
-    selection: SelectionOptions,
-    service: ServiceOptions,
-    notes: list[str],
-    **more: str,
-) -> Iterator[tuple[Path, Callable[[int, int], None]]]:
-    """Within, a file is written; Ctrl-C leaves nothing of it. Prints its size and notes at the end.
-
-    Yields:
-        The result to write it from, and what shows how many frames are done.
-    """
+    result: str, out: Path, selection: SelectionOptions, service: ServiceOptions, **more: str
+) -> Iterator[Writing]:
+    """Within, a file is written, of which Ctrl-C leaves nothing; its size and notes are printed."""
     check_output(out, force=selection.force, folder=True)
     quiet = selection.quiet or service.as_json
+    notes: list[str] = []
     with (
         _local_file(result, service) as path,
         removing(out.absolute().parent, f"{escape(out.name)}.tmp*"),
         ProgressDisplay(*Progress.get_default_columns(), quiet=quiet) as display,
     ):
-        yield path, display.add_bar("frames")
+        yield Writing(path, display.add_bar("frames"), notes.append)
     files = [out] if out.is_file() else sorted(out.iterdir())
     byte_count = sum(file.stat().st_size for file in files)
     service.print(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from chamfer_morph.cli import interrupt
-from chamfer_morph.cli.arguments import check_output, default_output
+from chamfer_morph.cli.arguments import check_output, default_output, parse_settings
 from chamfer_morph.cli.exit_status import BAD_INPUT, JOB_FAILED
 from chamfer_morph.cli.option_groups import expand_groups
 from chamfer_morph.cli.options import (
@@ -22,7 +22,7 @@ from chamfer_morph.cli.options import (
     SeedOption,
     ServiceOptions,
     SubmissionOptions,
-    TargetArgument,
+    TargetArguments,
     WatchOption,
 )
 from chamfer_morph.cli.output import error_document, in_flags, print_json
@@ -48,7 +48,7 @@ JobArguments = Annotated[list[str], typer.Argument(metavar="JOB...", help="Ids o
 @expand_groups
 def submit(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=SHAPE_HELP)],
-    target: TargetArgument,
+    targets: TargetArguments,
     *,
     method: MethodOption = None,
     config: ConfigOptions,
@@ -58,7 +58,7 @@ def submit(
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Have the service morph SOURCE into TARGET; prints the id of the job."""
+    """Have the service morph SOURCE into TARGET, or through several; prints the id of the job."""
     import uuid
 
     idempotency_key = submission.idempotency_key or str(uuid.uuid4())
@@ -70,7 +70,7 @@ def submit(
     with service.connect() as client, interrupt.at_interrupt(report_stop):
         job = client.submit(
             source,
-            target,
+            targets,
             method=method,
             seed=seed,
             idempotency_key=idempotency_key,
@@ -128,7 +128,7 @@ def fetch(
     with service.connect() as client:
         job = client.job(job_id)
         path = out or default_output(
-            job.source_name, job.target_name, partial=job.state != "succeeded"
+            job.source_name, *job.via_names, job.target_name, partial=job.state != "succeeded"
         )
         check_output(path, force=force)
         client.download(job_id, path)
@@ -137,6 +137,36 @@ def fetch(
         {"job": job_id, "out": str(path), "size_bytes": byte_count},
         f"{path} ({format_size(byte_count)})",
     )
+
+
+@app.command(rich_help_panel=PANEL)
+@expand_groups
+def fork(
+    job_id: JobArgument,
+    *,
+    frame: Annotated[
+        int | None,
+        typer.Option(help="Last frame in common, from 0; the last with a full state if not given."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A setting in place of the job's."),
+    ] = None,
+    name: Annotated[str, typer.Option(help="A name for your own use.")] = "",
+    states_every: Annotated[
+        int, typer.Option(help="Keep the full state after every so many frames.")
+    ] = 0,
+    watch: WatchOption = False,
+    quiet: QuietOption = False,
+    service: ServiceOptions,
+) -> None:
+    """Go on from a frame of a job with other settings, as a new job; prints its id."""
+    overrides = parse_settings(settings or ())
+    with service.connect() as client:
+        job = client.fork(job_id, frame, overrides=overrides, name=name, states_every=states_every)
+        if watch:
+            return _watch_to_end(client, job, service, quiet=quiet)
+    service.print(job, job.id)
 
 
 def _watch_to_end(client: MorphClient, job: Job, service: ServiceOptions, *, quiet: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import typer
@@ -61,11 +62,10 @@ def metrics(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how well A fills B: Chamfer, Hausdorff, F1, overlap, coverage, fill."""
-    from morph_engine.comparison import compare, measure_path
+    from morph_engine.comparison import compare
 
     if path:
-        values = measure_path(a)
-        print_result(values, lambda: print_metrics(values), as_json=as_json)
+        _print_path(a, as_json=as_json)
         return
 
     measurement = compare(
@@ -78,3 +78,23 @@ def metrics(
         workers=-1,
     )
     print_result(measurement.document(), lambda: print_metrics(measurement.values), as_json=as_json)
+
+
+def _print_path(result: str, *, as_json: bool) -> None:
+    """Measures of the path of a result; of each leg, where there are several."""
+    from morph_engine.comparison import measure_path
+    from morph_engine.results.trajectory import Trajectory
+
+    with Trajectory(result) as run:
+        shapes = run.run.names
+        legs = [measure_path(run, leg) for leg in range(run.leg_of(-1) + 1)]
+    if len(shapes) == 2:
+        print_result(legs[0], lambda: print_metrics(legs[0]), as_json=as_json)
+        return
+
+    def show() -> None:
+        for (source, target), values in zip(pairwise(shapes), legs, strict=False):
+            typer.echo(f"{source} to {target}")
+            print_metrics(values)
+
+    print_result({"shapes": shapes, "legs": legs}, show, as_json=as_json)

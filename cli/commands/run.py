@@ -17,7 +17,7 @@ from chamfer_morph.cli.options import (
     MethodOption,
     ResultFileOption,
     SeedOption,
-    TargetArgument,
+    TargetArguments,
 )
 
 app: typer.Typer = typer.Typer()
@@ -27,7 +27,7 @@ app: typer.Typer = typer.Typer()
 @expand_groups
 def run(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help=SHAPE_HELP)],
-    target: TargetArgument,
+    targets: TargetArguments,
     *,
     method: MethodOption = None,
     config: ConfigOptions,
@@ -35,7 +35,7 @@ def run(
     out: ResultFileOption = None,
     execution: ExecutionOptions,
 ) -> None:
-    """Morph SOURCE into TARGET."""
+    """Morph SOURCE into TARGET, or through several."""
     from chamfer_morph.cli import local_run
     from morph_engine import kept_results
     from morph_engine.morphing import prepare
@@ -43,8 +43,8 @@ def run(
 
     kept_results.keep_in(kept_results.user_folder())
     overrides = config.overrides(method=method, frames=config.frames, seed=seed)
-    record = prepare(source, target, configure(config.preset, overrides))
-    summary = local_run.run(record, out or default_output(source, target), execution)
+    record = prepare(source, targets, configure(config.preset, overrides))
+    summary = local_run.run(record, out or default_output(source, *targets), execution)
     local_run.report(summary, as_json=execution.as_json)
 
 

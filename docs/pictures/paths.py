@@ -14,7 +14,6 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +21,7 @@ import numpy as np
 from PIL import Image
 
 from docs.pictures.gallery import QUALITY, row_of_surfaces
-from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_euler
-from morph_engine.methods.transport import ease
-from morph_engine.metrics.body import count_pieces, measure_body
-from morph_engine.metrics.independent import mesh_metrics, surface_metrics
-from morph_engine.metrics.path import (
-    gap_metrics,
-    geodesic_distortion,
-    neighbor_metrics,
-    over_schedule,
-)
+from morph_engine.comparison import measure_path
 from morph_engine.morphing import morph
 from morph_engine.presets import configure
 from morph_engine.results.trajectory import Trajectory
@@ -70,9 +59,6 @@ SHOWN = (
 )
 """Pairs of the sheet."""
 
-BODIES = 9
-"""Frames, evenly spaced, of which area, volume and Euler number are taken."""
-
 COLUMNS = (
     "pair | he | area over schedule | volume over schedule | pieces, Euler number beyond the ends "
     "| D2min [h²] | kept | gap: 1 %; least [h] | t→s, its floor [dx] "
@@ -82,55 +68,10 @@ COLUMNS = (
 
 
 def measured(result: Path) -> dict[str, float]:
-    """All numbers of the table, by the worst of the frames where they are those of a frame.
-
-    h of a frame is the spacing of as many particles in a volume that goes linearly from that of the
-    source to that of the target.
-    """
+    """All numbers of the table, and the spacing at the end over h."""
     with Trajectory(result) as run:
-        config, spacing = run.config, run.config.spacing
-        frames = [run.run.source_points, *run]
-        rest = getattr(config.method, "rest", 0.0)
-        ratio = len(run.target_points) / len(run.run.source_points)
-        mesh = _in_grid_units(run)
-        correction = run.metrics.get("correction", np.zeros(len(run)))
-    count = len(frames) - 1
-    shares = np.array([ease(i / ((1 - rest) * count)) for i in range(count + 1)])
-    apart = spacing * np.cbrt(1 - shares + shares * ratio)
-    some = np.linspace(0, count, BODIES).round().astype(int)
-    bodies = {i: measure_body(frames[i], apart[i]) for i in some}
-    area = over_schedule([body.area for body in bodies.values()], shares[some])
-    volume = over_schedule([body.volume for body in bodies.values()], shares[some])
-    gaps = [gap_metrics(frame, h) for frame, h in zip(frames, apart, strict=True)]
-    path = np.linalg.norm(np.diff(frames, axis=0), axis=2).sum(axis=0).mean()
-    return {
-        "he": float(apart[-1] / spacing),
-        "area_min": float(area.min()),
-        "area_max": float(area.max()),
-        "volume_min": float(volume.min()),
-        "volume_max": float(volume.max()),
-        "more_pieces": _beyond([count_pieces(f, h) for f, h in zip(frames, apart, strict=True)]),
-        "more_euler": _beyond([surface_euler(frames[i], apart[i]) for i in some]),
-        **neighbor_metrics(frames[0], frames[-1], spacing),
-        "gap_p01": min(gap["gap_p01"] for gap in gaps),
-        "gap_min": min(gap["gap_min"] for gap in gaps),
-        "geodesic": geodesic_distortion(frames[0], frames[-1], spacing),
-        "settled": float(correction.sum() / path),
-        **mesh_metrics(frames[-1], mesh, float(apart[-1])),
-        **surface_metrics(reconstruct_surface(frames[-1], float(apart[-1])), mesh),
-    }
-
-
-def _in_grid_units(run: Trajectory) -> Mesh:
-    mesh, to_grid = run.target, np.linalg.inv(run.transform)
-    assert isinstance(mesh, Mesh)
-    return replace(mesh, vertices=mesh.vertices @ to_grid[:3, :3].T + to_grid[:3, 3])
-
-
-def _beyond(counts: Sequence[int]) -> int:
-    """How far any count is outside the range of the first and the last."""
-    low, high = sorted((counts[0], counts[-1]))
-    return int(max(max(counts) - high, low - min(counts)))
+        growth = float(np.cbrt(run.run.ratio))
+        return {"he": growth, **measure_path(run)}
 
 
 def _title(name: str) -> str:

@@ -10,6 +10,7 @@ import typer
 from typer.main import get_group
 
 from chamfer_morph.cli.app import app
+from chamfer_morph.cli.examples import EXAMPLES
 from docs.site.markdown import code, row
 
 NOT_SHOWN = {"--help", "--install-completion", "--show-completion"}
@@ -45,6 +46,8 @@ def _command(command: Any, name: str, parent: typer.Context, *, level: int) -> I
         yield from (row("option", "meaning"), row("---", "---"))
         yield from (row(code(option), _options_as_code(meaning)) for option, meaning in shown)
         yield ""
+    if examples := EXAMPLES.get(context.command_path.removeprefix("morph ")):
+        yield from ("```text", *examples, "```", "")
     for child in getattr(command, "commands", {}).values():
         yield from _command(child, child.name, context, level=level + 1)
 

@@ -20,6 +20,7 @@ PUBLISHED = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "SECURITY.md": "security.md",
     "CITATION.cff": "CITATION.cff",
     "LICENSE": "LICENSE",
     "openapi/openapi.json": "openapi.json",
@@ -40,7 +41,7 @@ SECTIONS = {
         "reference/command_line", "reference/settings", *library.pages(), "api", "reference/http",
     ),
     "Operating": ("operating", "settings", "faults"),
-    "About": ("architecture", "contributing", "changelog", "citing"),
+    "About": ("architecture", "contributing", "changelog", "security", "citing"),
 }  # fmt: skip
 """Every page but the first, under the headings of the list at the side."""
 

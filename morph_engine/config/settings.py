@@ -7,7 +7,7 @@ be written with `method.` before it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -124,7 +124,7 @@ def _fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
     fields: dict[str, FieldInfo] = {}
     for name, field in section.model_fields.items():
         kind = field.annotation
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel):
             fields |= {f"{name}.{path}": inner for path, inner in _fields(kind).items()}
         else:
             fields[name] = field

@@ -16,6 +16,7 @@ from morph_engine.files import replacing
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.run_record import Units
 from morph_engine.results.selection import Selection, check_snap
+from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
 __all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
@@ -31,7 +32,9 @@ _ALL = (
     html.FORMAT,
 )
 
-FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, video.MP4, video.GIF)}
+_VIDEOS = (video.MP4, video.WEBM, video.MOV, video.GIF, video.PNG)
+
+FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, *_VIDEOS)}
 
 
 def find(name: str) -> Format:
@@ -68,6 +71,7 @@ def export(
     snap: bool = False,
     tracked: bool = False,
     fps: float | None = None,
+    timing: Timing | None = None,
     units: Units = "user",
     fields: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
@@ -90,6 +94,8 @@ def export(
         tracked: One mesh for all frames, whose triangles stay the same and whose vertices
             correspond, see `results.tracked_surface`. It is the surface.
         fps: Frames per second of an animation, 24 by default and 12 in videos.
+        timing: Duration, rests, pace and repetition of a video, of a tracked surface or of a page,
+            of all frames; it has frames per second of its own.
         units: ``user`` for the coordinates of the user's own files, from those of the source in the
             beginning to those of the target at the end; ``source`` or ``target`` for those of
             either all the time; ``grid`` for grid units.
@@ -106,7 +112,15 @@ def export(
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
-    check(format, surface=surface, snap=snap, tracked=tracked, fields=fields)
+    check(
+        format,
+        surface=surface,
+        snap=snap,
+        tracked=tracked,
+        fields=fields,
+        frames=frames,
+        timing=timing,
+    )
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
     if tracked and path.suffix.lower() != chosen.suffix:
         raise ConfigError(
@@ -121,6 +135,7 @@ def export(
             snap=snap,
             tracked=tracked,
             fps=fps,
+            timing=timing,
             units=units,
             fields=tuple(fields),
             watch=watch,
@@ -156,6 +171,8 @@ def check(
     snap: bool = False,
     tracked: bool = False,
     fields: Sequence[str] = (),
+    frames: Sequence[int] | None = None,
+    timing: Timing | None = None,
 ) -> None:
     """Refuse what a format cannot hold, before anything is computed; arguments as for `export`.
 
@@ -170,6 +187,17 @@ def check(
     if tracked and fields:
         raise ConfigError(
             "A tracked surface carries no fields.", "Leave out the fields, or tracked."
+        )
+    if timing and frames is not None:
+        raise ConfigError(
+            "What is played for a given time shows the whole run, not chosen frames.",
+            "Leave out the frames, or what says the time.",
+        )
+    if timing and (not chosen.timed or (chosen.kind == "frame" and not tracked)):
+        able = [name for name, known in FORMATS.items() if known.timed]
+        raise ConfigError(
+            f"{chosen.name} has no playing time of its own.",
+            f"Formats that do are {', '.join(able)}; glb by a tracked surface.",
         )
     content = "tracked" if tracked else "surface" if surface else "points"
     wanted = {content} | ({"fields"} if fields else set())

@@ -24,6 +24,7 @@ class Format:
             without geometry.
         carries: What its files can hold: ``points``, ``surface``, ``fields``, and ``tracked``, a
             surface of the same triangles in all frames of one file.
+        timed: Whether it is played, and may have a time of its own.
         extra: The extra of this package that it needs, if any.
         description: What it is, and which programs open it.
         write: Writes a selection to a file. Of kind ``frame``, the selection has one frame, unless
@@ -36,5 +37,6 @@ class Format:
     description: str
     write: Callable[[Selection, Path], Any] = field(repr=False, compare=False)
     carries: frozenset[str] = frozenset()
+    timed: bool = False
     media_type: str = "application/octet-stream"
     extra: str | None = None

@@ -1,4 +1,7 @@
-"""GLB: glTF in one file, as the web and game engines read it; a field becomes vertex colours."""
+"""GLB: glTF in one file, as the web and game engines read it.
+
+A field becomes vertex colours; without one, these are the shapes' own.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,18 @@ from morph_engine.export import animated_glb
 from morph_engine.export.format import Format
 from morph_engine.export.gltf import (
     ARRAY_BUFFER,
-    CLAY,
     ELEMENT_ARRAY_BUFFER,
+    WHITE,
     GltfFile,
-    linear,
     unit_normals,
 )
 from morph_engine.rendering import colormap
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.selection import Selection, Snapshot
+from morph_engine.srgb import CLAY, Light, from_bytes, linear
 
 POINTS = 0
 TRIANGLES = 4
-WHITE = (1.0, 1.0, 1.0)
-"""Under colours of vertices, which are multiplied by it."""
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -33,6 +34,11 @@ def write(selection: Selection, path: Path) -> None:
         animated_glb.write(selection, path)
         return
     (snapshot,) = selection.snapshots()
+    path.write_bytes(to_bytes(snapshot))
+
+
+def to_bytes(snapshot: Snapshot) -> bytes:
+    """The file of one frame."""
     file = GltfFile()
     vertices = snapshot.vertices.astype(np.float32)
     # glTF has no points that are nowhere
@@ -52,20 +58,23 @@ def write(selection: Selection, path: Path) -> None:
     name = "particles" if snapshot.faces is None else "surface"
     mesh = file.append("meshes", {"name": name, "primitives": [primitive]})
     file.node({"name": name, "mesh": mesh, "extras": {"frame": snapshot.frame}})
-    path.write_bytes(file.to_bytes())
+    return file.to_bytes()
 
 
 def _colors(snapshot: Snapshot) -> npt.NDArray[np.uint16] | None:
-    """Linear RGBA by the first field, shape [v, 4]."""
+    """Linear RGBA by the first field, or those of the shapes, shape [v, 4]."""
     for name, values in snapshot.fields.items():
         diverging = FIELDS[name].diverging
         low, high = colormap.limits(values, diverging=diverging)
         chosen = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
-        rgb = linear(colormap.colors(values, low, high, palette=chosen))
-        opaque = np.column_stack([rgb, np.ones(len(rgb))])
-        rgba: npt.NDArray[np.uint16] = np.rint(65535 * opaque).astype(np.uint16)
-        return rgba
-    return None
+        return _opaque(linear(colormap.colors(values, low, high, palette=chosen)))
+    return None if snapshot.colors is None else _opaque(from_bytes(snapshot.colors))
+
+
+def _opaque(light: Light) -> npt.NDArray[np.uint16]:
+    rgba = np.column_stack([light, np.ones(len(light))])
+    levels: npt.NDArray[np.uint16] = np.rint(65535 * rgba).astype(np.uint16)
+    return levels
 
 
 FORMAT = Format(
@@ -74,7 +83,8 @@ FORMAT = Format(
     media_type="model/gltf-binary",
     kind="frame",
     carries=frozenset({"points", "surface", "fields", "tracked"}),
-    description="Points, a surface or a moving mesh, coloured by the first field; browsers, "
-    "Blender, game engines",
+    timed=True,
+    description="Points, a surface or a moving mesh, coloured by the first field, or as the "
+    "shapes are; browsers, Blender, game engines",
     write=write,
 )

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from morph_engine.srgb import CLAY, linear
+
 Json = dict[str, Any]
 
 ARRAY_BUFFER = 34962
@@ -25,8 +27,8 @@ COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint3
               "float32": 5126}  # fmt: skip
 SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
-CLAY = (0.79, 0.76, 0.70)
-"""Colour of what has no other, sRGB."""
+WHITE = (1.0, 1.0, 1.0)
+"""Under colours of vertices, which are multiplied by it."""
 
 ROUGHNESS = 0.6
 
@@ -135,15 +137,6 @@ class GltfFile:
             struct.pack("<I4s", len(text), b"JSON"), text,
             struct.pack("<I4s", len(data), b"BIN\0"), data,
         ])  # fmt: skip
-
-
-def linear(srgb: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """Linear colour values of sRGB ones, 0 to 1 both: glTF wants its colours so (IEC 61966-2-1)."""
-    values = np.asarray(srgb, np.float64)
-    light: npt.NDArray[np.float64] = np.where(
-        values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4
-    )
-    return light
 
 
 def unit_normals(normals: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:

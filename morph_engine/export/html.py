@@ -1,7 +1,8 @@
 """HTML: the frames and a viewer in one file, which a browser opens without a service or a network.
 
 The file holds positions as 16-bit shares of the box around all of them, as differences from frame
-to frame, deflated, in base64. `server/web/src/standalone/film.js` unpacks them.
+to frame, deflated, in base64, and so are colours, as bytes. `server/web/src/standalone/film.js`
+unpacks them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy.typing as npt
 
 from morph_engine.errors import ResultError
 from morph_engine.export.format import Format
-from morph_engine.geometry.mesh import Mesh
+from morph_engine.results.playback import picture_table
 from morph_engine.results.selection import Selection
 from morph_engine.results.tracked_surface import TrackedSurface, track_surface
 from morph_engine.results.trajectory import Trajectory
@@ -28,7 +29,8 @@ from morph_engine.results.trajectory import Trajectory
 Floats = npt.NDArray[np.float64]
 
 VIEWER = Path(__file__).parent / "viewer"
-"""Script and style sheet of the viewer, which `npm run build` in server/web makes."""
+"""Script and style sheet of the viewer, and the licences of the libraries in it, which
+`npm run build` in server/web makes."""
 
 LEVELS = 65535
 """Largest 16-bit share."""
@@ -58,6 +60,7 @@ PAGE = """<!doctype html>
 <script type="application/json" id="about">{about}</script>
 <script type="text/plain" id="frames">{frames}</script>
 <script>{script}</script>
+<script type="text/plain" id="licenses">{licenses}</script>
 </body>
 </html>
 """
@@ -75,12 +78,9 @@ def write(selection: Selection, path: Path) -> None:
 def embedded(trajectory: Trajectory) -> str | None:
     """A viewer to be put into another page, such as a notebook; None where it is not built."""
     selection = Selection(trajectory, tuple(range(trajectory.frame_count)))
-    if not selection.frames:
+    if not selection.frames or not VIEWER.is_dir():
         return None
-    try:
-        whole = page(selection, most_values=NOTEBOOK_VALUES)
-    except ResultError:
-        return None
+    whole = page(selection, most_values=NOTEBOOK_VALUES)
     return FRAME.format(page=html.escape(whole), title=html.escape(_title(trajectory)))
 
 
@@ -95,25 +95,34 @@ def page(selection: Selection, *, most_values: int = MOST_VALUES) -> str:
         ResultError: The viewer is not built, or a frame is damaged.
         MeshError: The particles of a frame enclose nothing.
     """
-    script, style = (_built(name) for name in ("viewer.js", "viewer.css"))
-    selection = replace(selection, units="grid", surface=False)
+    script, style, licenses = map(_built, ("viewer.js", "viewer.css", "licenses.txt"))
+    selection = replace(selection, units="grid")
     frames = tuple(sorted(set(selection.frames)))
+    trajectory, limit = selection.trajectory, most_values // (3 * len(frames))
     surface = None
     if selection.tracked and len(frames) > 1:
-        limit = most_values // (3 * len(frames))
-        surface = track_surface(replace(selection, surface=True), vertex_limit=limit)
-    points = np.stack([selection.trajectory.positions(frame) for frame in frames])
-    shown = _some(points.shape[1], most_values // (3 * len(frames)))
-    about, packed = pack(frames, points[:, shown].astype(np.float64), surface)
-    config, title = selection.trajectory.config, _title(selection.trajectory)
-    some = "" if len(shown) == points.shape[1] else f" ({len(shown):,} shown)"
+        surface = track_surface(selection, vertex_limit=limit)
+    count = trajectory.run.particle_count
+    shown = _some(count, limit)
+    points = np.stack([selection.placed(trajectory.positions(f)[shown], f) for f in frames])
+    colors = None
+    if trajectory.colors is not None:
+        found = [selection.particle_colors(frame) for frame in frames]
+        colors = np.stack([rgb[shown] for rgb in found if rgb is not None])
+    about, packed = pack(frames, points, surface, colors)
+    config, title = trajectory.config, _title(trajectory)
+    some = "" if len(shown) == count else f" ({len(shown):,} shown)"
     about |= {
         "title": title,
-        "words": f"{points.shape[1]:,} particles{some}, method {config.method.name}",
-        "spacing": config.spacing * (points.shape[1] / len(shown)) ** (1 / 3),
+        "words": f"{count:,} particles{some}, method {config.method.name}",
+        "up": trajectory.run.placement.up,
+        "spacing": config.spacing * (count / len(shown)) ** (1 / 3),
     }
+    if selection.timing:
+        about["timing"] = picture_table(trajectory, selection.timing)
     return PAGE.format(
         title=html.escape(title),
+        licenses=licenses,
         style=style,
         about=json.dumps(about).replace("<", "\\u003c"),
         frames=base64.b64encode(packed).decode("ascii"),
@@ -122,14 +131,18 @@ def page(selection: Selection, *, most_values: int = MOST_VALUES) -> str:
 
 
 def pack(
-    frames: Sequence[int], points: Floats, surface: TrackedSurface | None
+    frames: Sequence[int],
+    points: Floats,
+    surface: TrackedSurface | None,
+    colors: npt.NDArray[np.uint8] | None = None,
 ) -> tuple[dict[str, Any], bytes]:
-    """Positions as the viewer takes them, and the document that describes them.
+    """Positions and colours as the viewer takes them, and the document that describes them.
 
     Args:
         frames: Indices of the frames.
         points: Particles by frame [any unit], shape [T, n, 3].
         surface: Their surface in the same frames, if there is one.
+        colors: Colours of the particles by frame, sRGB, shape [T, n, 3], if they have any.
     """
     meshes = surface.meshes if surface else ()
     everything = [points, *(mesh.vertices for mesh in meshes)]
@@ -142,28 +155,35 @@ def pack(
         moved = np.diff(levels, axis=0, prepend=np.zeros_like(levels[:1]))  # modulo 65536
         return bytes(moved.astype("<u2").tobytes())
 
-    chunks = [packed(points)]
+    def tinted(rgb: npt.NDArray[np.uint8] | None) -> bytes:
+        return b"" if rgb is None else np.diff(rgb, axis=0, prepend=rgb[:1] * 0).tobytes()
+
+    chunks = [packed(points), tinted(colors)]
     described = []
     for mesh in meshes:
-        chunks += [packed(mesh.vertices), mesh.faces.astype("<u4").tobytes()]
+        chunks += [packed(mesh.vertices), tinted(mesh.colors), mesh.faces.astype("<u4").tobytes()]
         described.append({
             "frames": [frames.index(frame) for frame in mesh.frames],
             "count": mesh.vertices.shape[1],
             "triangles": len(mesh.faces),
+            "colored": mesh.colors is not None,
         })  # fmt: skip
     about = {
         "frames": list(frames),
         "offset": low.tolist(),
         "scale": scale,
-        "points": {"frames": list(range(len(frames))), "count": points.shape[1]},
+        "points": {
+            "frames": list(range(len(frames))),
+            "count": points.shape[1],
+            "colored": colors is not None,
+        },
         "surfaces": described,
     }
     return about, zlib.compress(b"".join(chunks), 9)
 
 
 def _title(trajectory: Trajectory) -> str:
-    ends = trajectory.run.source, trajectory.run.target
-    return " to ".join(end.name if isinstance(end, Mesh) else "points" for end in ends)
+    return " to ".join(trajectory.run.names)
 
 
 def _some(count: int, most: int) -> npt.NDArray[np.int64]:
@@ -187,6 +207,7 @@ FORMAT = Format(
     suffix=".html",
     kind="sequence",
     carries=frozenset({"points", "tracked"}),
+    timed=True,
     media_type="text/html",
     description="One page with a viewer for any browser, which needs no network; embed it anywhere",
     write=write,

@@ -14,13 +14,16 @@ def write(selection: Selection, path: Path) -> None:
     """Write the frames; arguments as for `Format.write`.
 
     ``positions`` [T, n, 3], ``frames`` [T], each field [T, n], ``source`` [n, 3], ``target``
-    [m, 3], ``transform`` [T, 4, 4] from grid units to those of the positions.
+    [m, 3], ``transform`` [T, 4, 4] from grid units to those of the positions; ``colors`` [T, n, 3],
+    sRGB, uint8, where the shapes have any.
     """
     snapshots = list(selection.snapshots())
     fields = {
         name: np.stack([snapshot.fields[name] for snapshot in snapshots])
         for name in selection.fields
     }
+    colors = [snapshot.colors for snapshot in snapshots if snapshot.colors is not None]
+    arrays = fields | ({"colors": np.stack(colors)} if colors else {})
     with path.open("wb") as file:
         np.savez_compressed(
             file,
@@ -30,7 +33,7 @@ def write(selection: Selection, path: Path) -> None:
             source=selection.placed_end("source"),
             target=selection.placed_end("target"),
             transform=np.stack([selection.transform(frame) for frame in selection.frames]),
-            **fields,
+            **arrays,
         )
 
 

@@ -18,7 +18,11 @@ def write(selection: Selection, path: Path) -> None:
     (snapshot,) = selection.snapshots()
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(f"# frame {snapshot.frame}, {selection.units} units\n")
-        np.savetxt(file, snapshot.vertices, fmt="v %.9g %.9g %.9g")
+        if snapshot.colors is None:
+            np.savetxt(file, snapshot.vertices, fmt="v %.9g %.9g %.9g")
+        else:
+            table = np.hstack([snapshot.vertices, snapshot.colors / 255])
+            np.savetxt(file, table, fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
         if snapshot.faces is None:
             file.write(_points(len(snapshot.vertices)))
         else:

@@ -1,4 +1,4 @@
-"""PLY: points or triangles with numbers at each, in binary."""
+"""PLY: points or triangles with numbers and colours at each, in binary."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ def write(selection: Selection, path: Path) -> None:
     normals = () if snapshot.faces is None else ("nx", "ny", "nz")
     kinds = [(axis, "<f8") for axis in "xyz"]
     kinds += [(name, "<f4") for name in (*normals, *snapshot.fields)]
+    channels = () if snapshot.colors is None else ("red", "green", "blue")
+    kinds += [(name, "u1") for name in channels]
     vertices = np.zeros(len(snapshot.vertices), kinds)
     for axis, column in zip("xyz", snapshot.vertices.T, strict=True):
         vertices[axis] = column
@@ -23,6 +25,9 @@ def write(selection: Selection, path: Path) -> None:
         vertices[name] = column
     for name, values in snapshot.fields.items():
         vertices[name] = values
+    if snapshot.colors is not None:
+        for name, column in zip(channels, snapshot.colors.T, strict=True):
+            vertices[name] = column
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -30,6 +35,7 @@ def write(selection: Selection, path: Path) -> None:
         f"element vertex {len(vertices)}",
         *(f"property double {axis}" for axis in "xyz"),
         *(f"property float {name}" for name in (*normals, *snapshot.fields)),
+        *(f"property uchar {name}" for name in channels),
     ]
     faces = np.zeros(
         0 if snapshot.faces is None else len(snapshot.faces), [("n", "u1"), ("v", "<i4", 3)]
@@ -48,6 +54,7 @@ FORMAT = Format(
     suffix=".ply",
     kind="frame",
     carries=frozenset({"points", "surface", "fields"}),
-    description="Points or a surface with field values; Blender, MeshLab, CloudCompare, ParaView",
+    description="Points or a surface with field values and the shapes' colours; "
+    "Blender, MeshLab, CloudCompare, ParaView",
     write=write,
 )

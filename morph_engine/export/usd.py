@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from morph_engine import srgb
 from morph_engine.export.format import Format
 from morph_engine.optional_packages import load
 from morph_engine.results.selection import Selection, Snapshot
@@ -67,6 +68,9 @@ def _tracked(UsdGeom: Any, stage: Any, root: Any, selection: Selection) -> None:
         _triangles(shape, mesh.faces)
         for frame, vertices, normals in zip(mesh.frames, mesh.vertices, mesh.normals, strict=True):
             _vertices(UsdGeom, shape, vertices, normals, frame)
+        if mesh.colors is not None:
+            for frame, colors in zip(mesh.frames, mesh.colors, strict=True):
+                _colors(UsdGeom, shape, colors, frame)
         if surface.changes_at is not None:
             second = mesh is surface.meshes[1]
             shown, hidden = UsdGeom.Tokens.inherited, UsdGeom.Tokens.invisible
@@ -84,6 +88,8 @@ def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
         shape.CreateWidthsAttr().Set([snapshot.spacing], time)
     else:
         _triangles(shape, snapshot.faces, time)
+    if snapshot.colors is not None:
+        _colors(UsdGeom, shape, snapshot.colors, time)
     variables = UsdGeom.PrimvarsAPI(shape)
     for name, values in snapshot.fields.items():
         variable = variables.CreatePrimvar(
@@ -104,6 +110,14 @@ def _vertices(UsdGeom: Any, shape: Any, positions: Floats, normals: Floats, time
         outward = Vt.Vec3fArray.FromNumpy(normals.astype(np.float32))
         shape.CreateNormalsAttr().Set(outward, time)
         shape.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+
+
+def _colors(UsdGeom: Any, shape: Any, colors: srgb.Bytes, time: int) -> None:
+    """Set colours of one frame, in linear light as USD wants them."""
+    Vt = load("pxr.Vt", extra="usd", purpose="USD")
+    variable = shape.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+    light = srgb.from_bytes(colors).astype(np.float32)
+    variable.Set(Vt.Vec3fArray.FromNumpy(light), time)
 
 
 def _triangles(shape: Any, faces: npt.NDArray[np.int32], time: int | None = None) -> None:

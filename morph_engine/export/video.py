@@ -1,4 +1,4 @@
-"""MP4 and GIF: the frames as a video."""
+"""MP4, WebM, ProRes, GIF and PNG: the frames as a video."""
 
 from __future__ import annotations
 
@@ -21,29 +21,49 @@ def write(selection: Selection, path: Path, *, kind: VideoKind) -> None:
         field=selection.fields[0] if selection.fields else None,
         surface=selection.surface,
         snap=selection.snap,
-        frames=selection.frames,
+        frames=None if selection.timing else selection.frames,
         fps=selection.fps or FRAMES_PER_SECOND,
+        timing=selection.timing,
         kind=kind,
         watch=selection.watch,
     )
 
 
-MP4 = Format(
-    name="mp4",
-    suffix=".mp4",
-    media_type="video/mp4",
-    kind="sequence",
-    carries=frozenset({"points", "surface", "fields"}),
-    extra="video",
-    description="A video, coloured by the first field; everywhere",
-    write=partial(write, kind="mp4"),
+def _format(
+    name: VideoKind,
+    media_type: str,
+    description: str,
+    *,
+    suffix: str = "",
+    extra: str | None = None,
+) -> Format:
+    return Format(
+        name=name,
+        suffix=suffix or f".{name}",
+        media_type=media_type,
+        kind="sequence",
+        carries=frozenset({"points", "surface", "fields"}),
+        timed=True,
+        extra=extra,
+        description=description,
+        write=partial(write, kind=name),
+    )
+
+
+MP4 = _format("mp4", "video/mp4", "A video, coloured by the first field; everywhere", extra="video")
+WEBM = _format(
+    "webm", "video/webm", "A video (VP9), coloured by the first field; browsers", extra="video"
 )
-GIF = Format(
-    name="gif",
-    suffix=".gif",
-    media_type="image/gif",
-    kind="sequence",
-    carries=frozenset({"points", "surface", "fields"}),
-    description="A short video in 256 colours; everywhere",
-    write=partial(write, kind="gif"),
+MOV = _format(
+    "mov",
+    "video/quicktime",
+    "A video for editing (ProRes 4444), coloured by the first field",
+    extra="video",
+)
+GIF = _format("gif", "image/gif", "A short video in 256 colours; everywhere")
+PNG = _format(
+    "png",
+    "application/zip",
+    "A picture per frame in a zip archive; every program",
+    suffix=".zip",
 )

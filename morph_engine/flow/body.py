@@ -147,8 +147,7 @@ class BodyPath:
         """
         outside = level[::REFINEMENT, ::REFINEMENT, ::REFINEMENT] >= 0
         distance = scipy.ndimage.distance_transform_edt(outside).astype(np.float32)
-        finer = np.divide(level.shape, distance.shape)
-        cells = scipy.ndimage.zoom(distance, finer, order=1)
+        cells = refined(distance)
         dx = np.float32(self._grid.dx)
         far = (cells > 1.5) & (level > 0)
         return np.where(far, dx * cells, np.minimum(level, 1.5 * dx))
@@ -200,6 +199,18 @@ def _even_shares(blend: Blend) -> NDArray[np.float64]:
 
 def _interpolated(shares: NDArray[np.float64], share: float) -> float:
     return float(np.interp(share, np.linspace(0, 1, len(shares)), shares))
+
+
+def refined(field: Field) -> Field:
+    """A field given at every second point of a lattice, trilinear between them, [2 n - 1, ...]."""
+    finer = field.astype(np.float64)
+    for axis in range(3):
+        coarse = np.moveaxis(finer, axis, 0)
+        finer = np.empty((2 * len(coarse) - 1, *coarse.shape[1:]))
+        finer[::2] = coarse
+        finer[1::2] = (coarse[:-1] + coarse[1:]) / 2
+        finer = np.moveaxis(finer, 0, axis)
+    return finer.astype(np.float32)
 
 
 def _without_pieces(level: Field) -> Field:

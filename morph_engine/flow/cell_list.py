@@ -8,6 +8,11 @@ import taichi as ti
 from morph_engine import backend
 from morph_engine.mpm.grid import Grid
 
+LANES = 8
+"""Particles that a kernel looks at in one go: float32 numbers in a vector register of AVX."""
+
+LARGEST_INDEX = 0x3FFFFFFF
+
 
 class CellList:
     """Cells over the extent of a grid, and the particles in each.
@@ -23,6 +28,8 @@ class CellList:
         per_axis: Cells along each axis.
         first: Where the particles of each cell begin in `order`, z fastest, and where they end.
         order: Particles cell by cell.
+        columns: Their x, y and z in this order, each followed by LANES numbers without a meaning
+            [dx], shape [count + LANES].
     """
 
     def __init__(self, count: int, grid: Grid, edge: float) -> None:
@@ -32,17 +39,58 @@ class CellList:
         self.per_axis: int = math.ceil((grid.resolution - 1) * grid.dx / edge)
         self.first: Any = device.integers(self.per_axis**3 + 1)
         self.order: Any = device.integers(count)
+        self.columns: list[Any] = [device.scalars(count + LANES) for _ in range(3)]
         self._cell = device.integers(count)
 
     def build(self, x: Any) -> None:
         """List particles at x [dx], device array, shape [count, 3]."""
         _list_cells(x, self.first, self._cell, self.order, self.origin, self.edge, self.per_axis)
+        _fill_columns(x, self.order, *self.columns)
 
 
 @ti.func
 def cell_of(position, origin: float, edge: float, cells: int):
     """Cell of a position along each axis."""
     return ti.math.clamp(ti.floor((position - origin) / edge, int), 0, cells - 1)
+
+
+@ti.func
+def zero_lanes():
+    """LANES zeros."""
+    return ti.Vector.zero(float, LANES)
+
+
+@ti.func
+def load_lanes(column: ti.template(), first: int):
+    """The LANES numbers of a column from one on.
+
+    The mask tells the compiler that no index overflows, so that it loads them as one vector.
+    """
+    start = first & LARGEST_INDEX
+    values = zero_lanes()
+    for lane in ti.static(range(LANES)):
+        values[lane] = column[start + lane]
+    return values
+
+
+@ti.func
+def sum_lanes(values):
+    """Sum of LANES numbers, by pairs."""
+    pairs = [values[lane] + values[lane + 4] for lane in ti.static(range(4))]
+    return (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
+
+
+@ti.kernel
+def _fill_columns(
+    x: ti.types.ndarray(),
+    order: ti.types.ndarray(),
+    x_column: ti.types.ndarray(),
+    y_column: ti.types.ndarray(),
+    z_column: ti.types.ndarray(),
+):
+    for slot in range(order.shape[0]):
+        position = x[order[slot]]
+        x_column[slot], y_column[slot], z_column[slot] = position.x, position.y, position.z
 
 
 @ti.kernel

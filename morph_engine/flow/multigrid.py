@@ -19,6 +19,9 @@ from morph_engine import backend
 COARSEST = 10
 """The coarsest grid has at most so many nodes an axis."""
 
+SMALLEST_SHARED = 40
+"""Threads of a CPU share out the rows of a grid with at least so many nodes an axis."""
+
 SWEEPS = 4
 """Symmetric Gauss-Seidel sweeps on the coarsest grid."""
 
@@ -43,10 +46,12 @@ class Levels:
     Attributes:
         resolutions: Nodes per axis of each.
         offsets: Where its nodes, and its rows, begin in the arrays.
+        shared: How many of them threads share out; what is coarser is done by one.
     """
 
     resolutions: tuple[int, ...]
     offsets: tuple[int, ...]
+    shared: int
 
     @property
     def count(self) -> int:
@@ -65,7 +70,9 @@ def levels_of(resolution: int) -> Levels:
     while resolutions[-1] > COARSEST:
         offsets.append(offsets[-1] + resolutions[-1] ** 3)
         resolutions.append(-(-resolutions[-1] // 2))
-    return Levels(tuple(resolutions), tuple(offsets))
+    smallest = SMALLEST_SHARED if backend.active().on_cpu else COARSEST + 1
+    shared = max(1, sum(nodes >= smallest for nodes in resolutions[:-1]))
+    return Levels(tuple(resolutions), tuple(offsets), shared)
 
 
 def new_system(levels: Levels) -> Any:
@@ -144,29 +151,68 @@ def relaxed(system: ti.template(), row: int):
 
 
 @ti.func
+def smooth_from_zero(system: ti.template(), row: int):
+    """The solution of a row after a sweep over even rows and then odd ones, from zero."""
+    total = system.r[row]
+    if system.odd[row]:
+        for f in ti.static(range(6)):
+            other = system.neighbors[row][f]
+            total += system.weights[row][f] * system.r[other] / system.diagonal[other]
+    system.z[row] = total / system.diagonal[row]
+
+
+@ti.func
+def restrict(system: ti.template(), row: int):
+    """The right-hand side of a coarser row: what its finer rows lack."""
+    total = 0.0
+    for c in ti.static(range(8)):
+        child = system.children[row][c]
+        if child >= 0:
+            if not system.odd[child]:  # whose equation does not hold
+                change = relaxed(system, child) - system.z[child]
+                total += system.diagonal[child] * change
+    system.r[row] = total
+
+
+@ti.func
+def smooth_odd(system: ti.template(), row: int):
+    """A sweep over odd rows, with the correction of the coarser grid in their even neighbours."""
+    if system.odd[row]:
+        total = system.r[row]
+        for f in ti.static(range(6)):
+            other = system.neighbors[row][f]
+            total += system.weights[row][f] * (system.z[other] + system.z[system.parent[other]])
+        system.z[row] = total / system.diagonal[row]
+
+
+@ti.func
+def smooth_even(system: ti.template(), row: int):
+    """A sweep over even rows, which follow from the odd ones alone."""
+    if not system.odd[row]:
+        system.z[row] = relaxed(system, row)
+
+
+@ti.func
 def v_cycle(system: ti.template(), levels: ti.template()):
-    """z = an approximate solution of A z = r on the finest level, linear and symmetric in r."""
-    for level in ti.static(range(levels.count - 1)):
-        first = ti.static(levels.offsets[level])
-        for row in range(first, first + system.counts[level]):  # even rows, then odd ones
-            total = system.r[row]
-            if system.odd[row]:
-                for f in ti.static(range(6)):
-                    other = system.neighbors[row][f]
-                    total += system.weights[row][f] * system.r[other] / system.diagonal[other]
-            system.z[row] = total / system.diagonal[row]
-        coarse = ti.static(levels.offsets[level + 1])
+    """z = an approximate solution of A z = r on the finest level, linear and symmetric in r.
+
+    Its last sweep, over the even rows of the finest level, is left to the caller. Coarse levels are
+    one serial task: to share so little work out takes longer than to do it.
+    """
+    for level in ti.static(range(levels.shared)):
+        first, coarse = ti.static(levels.offsets[level], levels.offsets[level + 1])
+        for row in range(first, first + system.counts[level]):
+            smooth_from_zero(system, row)
         for row in range(coarse, coarse + system.counts[level + 1]):
-            total = 0.0
-            for c in ti.static(range(8)):
-                child = system.children[row][c]
-                if child >= 0:
-                    if not system.odd[child]:  # whose equation does not hold
-                        change = relaxed(system, child) - system.z[child]
-                        total += system.diagonal[child] * change
-            system.r[row] = total
+            restrict(system, row)
     ti.loop_config(serialize=True)
     for _ in range(1):
+        for level in ti.static(range(levels.shared, levels.count - 1)):
+            first, coarse = ti.static(levels.offsets[level], levels.offsets[level + 1])
+            for row in range(first, first + system.counts[level]):
+                smooth_from_zero(system, row)
+            for row in range(coarse, coarse + system.counts[level + 1]):
+                restrict(system, row)
         last = ti.static(levels.offsets[levels.count - 1])
         n = system.counts[levels.count - 1]
         for k in range(n):
@@ -175,13 +221,16 @@ def v_cycle(system: ti.template(), levels: ti.template()):
             place = k % n
             row = last + (place if (k // n) % 2 == 0 else n - 1 - place)
             system.z[row] = relaxed(system, row)
-    for up in ti.static(range(levels.count - 1)):
-        level = ti.static(levels.count - 2 - up)
+        for level in ti.static(range(levels.count - 2, levels.shared - 1, -1)):
+            first = ti.static(levels.offsets[level])
+            for row in range(first, first + system.counts[level]):
+                smooth_odd(system, row)
+            for row in range(first, first + system.counts[level]):
+                smooth_even(system, row)
+    for level in ti.static(range(levels.shared - 1, -1, -1)):
         first = ti.static(levels.offsets[level])
         for row in range(first, first + system.counts[level]):
-            if not system.odd[row]:
-                system.z[row] += system.z[system.parent[row]]
-        for parity in ti.static((1, 0)):
+            smooth_odd(system, row)
+        if ti.static(level > 0):
             for row in range(first, first + system.counts[level]):
-                if system.odd[row] == parity:
-                    system.z[row] = relaxed(system, row)
+                smooth_even(system, row)

@@ -25,6 +25,7 @@ from morph_engine.flow.multigrid import (
     levels_of,
     list_coarse_rows,
     new_system,
+    smooth_even,
     v_cycle,
 )
 from morph_engine.mpm.grid import Grid, is_inside
@@ -239,6 +240,7 @@ def descend(
             chunk = task // stride
             rz = 0.0
             for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                smooth_even(system, k)
                 rz += system.r[k] * system.z[k]
             vectors.partial[chunk][2] = vectors.partial[chunk][1]
             vectors.partial[chunk][1] = rz

@@ -15,7 +15,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.flow.cell_list import CellList, cell_of
+from morph_engine.flow.cell_list import LANES, CellList, cell_of, load_lanes
 from morph_engine.metrics.body import piece_sizes
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
@@ -60,14 +60,15 @@ class StrayPieces:
         if not pieces:
             return
         body = np.delete(positions, np.concatenate(pieces), axis=0)
-        tree, lengths = scipy.spatial.cKDTree(body), moved.to_numpy()
+        lengths = moved.to_numpy()
         for piece in pieces:
-            gaps, nearest = tree.query(positions[piece])
+            gaps, nearest = scipy.spatial.cKDTree(body).query(positions[piece])
             first = int(np.argmin(gaps))
             share = 1 - REJOINED * spacing / gaps[first]
             move = share * (body[nearest[first]] - positions[piece[first]])
             positions[piece] += move
             lengths[piece] += np.linalg.norm(move)
+            body = np.concatenate([body, positions[piece]])  # the next one keeps away from it
         x.from_numpy(positions)
         moved.from_numpy(lengths)
 
@@ -76,7 +77,7 @@ class StrayPieces:
         cells, few = self._cells, self._few
         cells.build(x)
         _mark_few_links(
-            x, few, cells.first, cells.order, cells.origin, cells.edge, cells.per_axis, reach
+            x, few, cells.first, *cells.columns, cells.origin, cells.edge, cells.per_axis, reach
         )
         starts = np.flatnonzero(few.to_numpy())
         if not len(starts):
@@ -123,7 +124,9 @@ def _mark_few_links(
     x: ti.types.ndarray(),
     few: ti.types.ndarray(),
     first: ti.types.ndarray(),
-    order: ti.types.ndarray(),
+    x_column: ti.types.ndarray(),
+    y_column: ti.types.ndarray(),
+    z_column: ti.types.ndarray(),
     origin: float,
     edge: float,
     cells: int,
@@ -136,8 +139,14 @@ def _mark_few_links(
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
                 row = (i * cells + j) * cells
-                if links <= FEW:
-                    for slot in range(first[row + low.z], first[row + high.z + 1]):
-                        if (x[p] - x[order[slot]]).norm_sqr() < reach * reach:
-                            links += 1
+                begin, end = first[row + low.z], first[row + high.z + 1]
+                groups = (end - begin + LANES - 1) // LANES if links <= FEW else 0
+                for group in range(groups):
+                    slot = begin + group * LANES
+                    away_x = x[p].x - load_lanes(x_column, slot)
+                    away_y = x[p].y - load_lanes(y_column, slot)
+                    away_z = x[p].z - load_lanes(z_column, slot)
+                    squared = away_x**2 + away_y**2 + away_z**2
+                    for lane in ti.static(range(LANES)):
+                        links += int(slot + lane < end and squared[lane] < reach * reach)
         few[p] = int(links <= FEW)

@@ -7,7 +7,7 @@ import io
 import json
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
+from morph_engine.geometry.file_colors import Part, only_base_colors, read_colors
+from morph_engine.geometry.mesh_colors import MeshColors
 from morph_engine.geometry.topology import signed_volume, triangle_areas
+from morph_engine.geometry.upward import Up, guess_up
 
 trimesh: Any = lazy.load("trimesh")
 
@@ -40,6 +43,8 @@ class Mesh:
         sha256: Digest of the file, or of the arrays of a built-in shape.
         repairs: What was changed on loading, one sentence each.
         built_in: Whether it is a built-in shape, in grid units, and comes from no file.
+        colors: Colours of its triangles; None where it has none.
+        up: The axis that points upwards in it, see `guess_up`; None where nothing tells.
     """
 
     vertices: npt.NDArray[np.float64]
@@ -48,6 +53,8 @@ class Mesh:
     sha256: str
     repairs: tuple[str, ...] = ()
     built_in: bool = False
+    colors: MeshColors | None = None
+    up: Up | None = None
 
     @property
     def bounds(self) -> npt.NDArray[np.float64]:
@@ -61,7 +68,13 @@ class Mesh:
 
 
 def make_mesh(
-    vertices: npt.ArrayLike, faces: npt.ArrayLike, *, name: str, sha256: str | None = None
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    *,
+    name: str,
+    sha256: str | None = None,
+    colors: MeshColors | None = None,
+    repairs: tuple[str, ...] = (),
 ) -> Mesh:
     """Make a mesh from arrays, without unused vertices and repeated faces, and right side out.
 
@@ -70,6 +83,8 @@ def make_mesh(
         faces: Vertex indices, shape [f, 3].
         name: Name for messages.
         sha256: Digest of its origin; of the arrays by default.
+        colors: Colours of the faces.
+        repairs: What was changed before.
 
     Raises:
         MeshError: There are no faces, an index is out of range, a coordinate is not finite or
@@ -94,11 +109,11 @@ def make_mesh(
             f"{name} has coordinates beyond {COORDINATE_LIMIT:.0e}.",
             "Move it to the origin and scale it down.",
         )
-    repairs: tuple[str, ...] = ()
     distinct = _distinct(points, triangles)
     if len(distinct) < len(triangles):
         repairs += (f"{len(triangles) - len(distinct)} repeated faces have been dropped.",)
         triangles = triangles[distinct]
+        colors = colors and colors.of_faces(distinct)
     volume = signed_volume(points, triangles)
     if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
         raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
@@ -111,9 +126,21 @@ def make_mesh(
         )
     if volume < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
+        colors = colors and colors.of_faces(np.arange(len(triangles)), turned=True)
         repairs += ("The surface was inside out and has been turned.",)
-    digest = sha256 or hashlib.sha256(points.tobytes() + triangles.tobytes()).hexdigest()
-    return Mesh(points, triangles, name, digest, repairs)
+    digest = sha256 or _digest(points, triangles, colors)
+    return Mesh(points, triangles, name, digest, repairs, colors=colors)
+
+
+def _digest(
+    points: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    colors: MeshColors | None,
+) -> str:
+    digest = hashlib.sha256(points.tobytes() + triangles.tobytes())
+    for array in (colors.arrays() if colors else {}).values():
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -133,7 +160,7 @@ def load_mesh(path: str | Path) -> Mesh:
         )
     data = _read(path)
     try:
-        vertices, faces = _parse(data, kind)
+        vertices, faces, colors, left_out = _parse(data, kind)
     except MeshError:
         raise
     except IndexError as error:
@@ -143,7 +170,15 @@ def load_mesh(path: str | Path) -> Mesh:
             f"{path.name} is not a readable {kind.upper()} file.",
             "Check that the file is complete, or export the mesh again as OBJ, STL or GLB.",
         ) from error
-    return make_mesh(vertices, faces, name=path.name, sha256=hashlib.sha256(data).hexdigest())
+    mesh = make_mesh(
+        vertices,
+        faces,
+        name=path.name,
+        sha256=hashlib.sha256(data).hexdigest(),
+        colors=colors,
+        repairs=left_out,
+    )
+    return replace(mesh, up=guess_up(mesh.vertices, mesh.faces, kind))
 
 
 def _distinct(
@@ -184,20 +219,35 @@ def _read(path: Path) -> bytes:
     return data
 
 
-def _parse(data: bytes, kind: str) -> tuple[npt.ArrayLike, npt.ArrayLike]:
-    """Turn the bytes of a mesh file into vertices and faces, opening no other file."""
+def _parse(
+    data: bytes, kind: str
+) -> tuple[npt.ArrayLike, npt.ArrayLike, MeshColors | None, tuple[str, ...]]:
+    """Vertices, faces and colours of a mesh file, opening no other file; what is left out."""
+    is_gltf = kind in ("glb", "gltf")
     if kind == "obj":
         _check_obj(data)
-    elif kind in ("glb", "gltf"):
+    elif is_gltf:
         _check_gltf(data, kind)
+        data = only_base_colors(data, kind)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # NumPy only warns when text between numbers makes it stop reading.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-        mesh = trimesh.load_mesh(
-            io.BytesIO(data), file_type=kind, process=False, skip_materials=True
+        scene = trimesh.load_scene(
+            io.BytesIO(data), file_type=kind, process=False, skip_materials=not is_gltf
         )
-    return mesh.vertices, mesh.faces
+        visuals = {name: one.visual for name, one in scene.geometry.items() if _is_mesh(one)}
+        for name in visuals:  # else they are copied, and merged into large pictures
+            scene.geometry[name].visual = trimesh.visual.ColorVisuals()
+        placed = [one for one in scene.dump() if _is_mesh(one)]
+        mesh = trimesh.util.concatenate(placed)
+        parts = [Part(visuals[p.metadata["name"]], p.faces, len(p.vertices)) for p in placed]
+        colors, left_out = read_colors(parts, kind)
+    return mesh.vertices, mesh.faces, colors, left_out
+
+
+def _is_mesh(geometry: Any) -> bool:
+    return isinstance(geometry, trimesh.Trimesh)
 
 
 def _check_obj(data: bytes) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
+from morph_engine.geometry import rotation as rotations
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.rotation import Quaternion
 from morph_engine.geometry.winding_number import inside
 
 igl: Any = lazy.load("igl")
@@ -132,30 +134,62 @@ def _lattice_indices(shape: npt.NDArray[np.int_]) -> Iterator[npt.NDArray[np.flo
 
 @dataclass(frozen=True)
 class Similarity:
-    """Map from user coordinates to grid units: `grid = scale * user + offset`."""
+    """Map from user coordinates to grid units: `grid = scale * rotated(user) + offset`.
+
+    The rotation is a unit quaternion (x, y, z, w).
+    """
 
     scale: float = 1.0
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: Quaternion = rotations.IDENTITY
 
     def apply(self, points: npt.ArrayLike) -> Floats:
         """Map points, shape [..., 3]; returns float64 of the same shape."""
-        grid: Floats = self.scale * np.asarray(points, np.float64) + np.asarray(self.offset)
+        grid: Floats = self.scale * self._rotated(points) + np.asarray(self.offset)
         return grid
+
+    def box(self, bounds: npt.ArrayLike) -> Floats:
+        """The box around a mapped box, lower and upper corner, shape [2, 3], float64."""
+        if self.rotation == rotations.IDENTITY:
+            return self.apply(bounds)
+        lower, upper = np.asarray(bounds, np.float64)
+        centre = self.apply((lower + upper) / 2)
+        half = self.scale * np.abs(rotations.matrix(self.rotation)) @ ((upper - lower) / 2)
+        return np.stack([centre - half, centre + half])
+
+    def after(self, first: Similarity) -> Similarity:
+        """The map that does another one and then this one."""
+        if first == Similarity():
+            return self  # to the bit
+        x, y, z = self.apply(first.offset).tolist()
+        rotation = rotations.product(self.rotation, first.rotation)
+        return Similarity(self.scale * first.scale, (x, y, z), rotation)
 
     def inverse(self) -> Similarity:
         """Return the map from grid units back to user coordinates."""
-        x, y, z = (-component / self.scale for component in self.offset)
-        return Similarity(1.0 / self.scale, (x, y, z))
+        back = rotations.inverse(self.rotation)
+        offset = Similarity(rotation=back)._rotated(self.offset)
+        x, y, z = (-component / self.scale for component in offset.tolist())
+        return Similarity(1.0 / self.scale, (x, y, z), back)
+
+    def _rotated(self, points: npt.ArrayLike) -> Floats:
+        rotated = np.asarray(points, np.float64)
+        if self.rotation == rotations.IDENTITY:
+            return rotated  # to the bit
+        return rotated @ rotations.matrix(self.rotation).T
 
     def blended(self, other: Similarity, share: float) -> Similarity:
-        """This at share 0 and another at 1; between them scales go by factors, offsets by steps."""
+        """This at share 0 and another at 1.
+
+        Between them scales go by factors, offsets by steps, and the rotation at an even pace.
+        """
         if self == other:
             return self  # to the bit
         scale = self.scale ** (1 - share) * other.scale**share
         x, y, z = (
             (1 - share) * a + share * b for a, b in zip(self.offset, other.offset, strict=True)
         )
-        return Similarity(scale, (x, y, z))
+        return Similarity(scale, (x, y, z), rotations.between(self.rotation, other.rotation, share))
 
     def applied(self, mesh: Mesh) -> Mesh:
         """A mesh in user coordinates in grid units."""
@@ -165,7 +199,7 @@ class Similarity:
     def matrix(self) -> Floats:
         """The map as a matrix that acts on columns, shape [4, 4]."""
         matrix = np.eye(4)
-        matrix[:3, :3] *= self.scale
+        matrix[:3, :3] = self.scale * rotations.matrix(self.rotation)
         matrix[:3, 3] = self.offset
         return matrix
 

@@ -48,7 +48,7 @@ def make(name: str) -> Mesh:
     else:
         raise unknown_name("built-in shape", name, names(), error=MeshError)
     mesh = make_mesh(raw["vertices"], raw["faces"], name=name)
-    return replace(fit_to_domain(mesh, mode="volume")[0], built_in=True)
+    return replace(fit_to_domain(mesh, mode="volume")[0], built_in=True, up="y")
 
 
 def _arrays(mesh: Mesh) -> kept_results.Arrays:

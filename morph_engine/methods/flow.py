@@ -6,19 +6,18 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
+from morph_engine.methods.like_parts import Landmark, LikeParts
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
 from morph_engine.methods.options import CostRates
-from morph_engine.methods.transport import ease
 from morph_engine.mpm.grid_size import nodes_per_axis
-from morph_engine.optimization.watchdog import Event, restarted
+from morph_engine.optimization.watchdog import restarted
 from morph_engine.sections import (
     Fraction,
     Kernel,
@@ -26,11 +25,8 @@ from morph_engine.sections import (
     NonNegative,
     Positive,
     RestartingWatchdogConfig,
-    Section,
-    Vector,
 )
-
-threadpoolctl: Any = lazy.load("threadpoolctl")
+from morph_engine.smoothstep import smoothstep
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
@@ -46,15 +42,6 @@ CELLS_PER_STEP = 0.3
 STEPS = 4
 """Time steps per frame to which the gain and the firmness of the surface refer, and after which
 particles settle."""
-
-LARGEST_DISTORTION = 0.15
-"""Geodesic distortion below which two shapes are taken to have like parts."""
-
-LANDMARK_REACH = 1.0
-"""Landmarks lie at most so far from the matter of their shape, and lead what is so near [dx]."""
-
-RETURN = 0.3
-"""Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
 TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried to like parts [dx]."""
@@ -72,16 +59,6 @@ MARGIN = 5
 EXTENTS = 4
 """Half the cells along an axis are a multiple of this, so that few grids serve all shapes."""
 
-ENDS = ("source", "target")
-"""Of a correspondence."""
-
-
-class Landmark(Section):
-    """A point of the source and where it belongs, in the coordinates of the two shapes."""
-
-    source: Vector
-    target: Vector
-
 
 class FlowOptions(MpmOptions):
     """Matter flows inside a body that changes from source to target, driven by pressure.
@@ -95,7 +72,8 @@ class FlowOptions(MpmOptions):
         "viscous": {"memory": 0.2, "tension": 1.0},
         "fluid": {"material": {"youngs_modulus": 1.0}, "memory": 0.0, "tension": 2.0},
     }
-    cost: ClassVar[CostRates] = CostRates(16e-6, 2e-6, 0.5, 0.2, 0.05, bytes_per_node=800)
+    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.5, 0.2, 0.05, bytes_per_node=800)
+    fixed: ClassVar[tuple[str, ...]] = ("frames", "rest", "like_parts", "landmarks")
 
     name: Literal["flow"] = "flow"
     kernel: Kernel = Field("quadratic", description="B-spline interpolation.")
@@ -134,7 +112,7 @@ class FlowOptions(MpmOptions):
     settling: Fraction = Field(
         0.02, description="What settling moves particles in all, at most, over the mean path."
     )
-    rounds: int = Field(1, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
+    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
     rest: float = Field(
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
@@ -143,6 +121,18 @@ class FlowOptions(MpmOptions):
         """Nodes of the grid of the flow."""
         edge, extent = grid_size(self, config, radius=radius, ratio=ratio)
         return nodes_per_axis(extent * edge, edge) ** 3
+
+    def share_of_way(self, frame: float, frames: int) -> float:
+        """Begins and ends at rest."""
+        return smoothstep(frame / ((1 - self.rest) * frames))
+
+    def check_legs(self, count: int) -> None:
+        """Refuse landmarks, which belong to one source and one target."""
+        if self.landmarks:
+            raise ConfigError(
+                f"Landmarks lead from one shape to one other, and there are {count} targets.",
+                "Leave them out, or make a morph of each pair of shapes.",
+            )
 
 
 class Flow(MpmMethod[FlowOptions]):
@@ -172,13 +162,7 @@ class Flow(MpmMethod[FlowOptions]):
             [problem.source / edge, problem.target / edge], spacing, self._settling.cells
         )
         axis = flow.fine_axis(self._grid)
-        self._correspondence = self._match()
-        found = self._correspondence
-        self._warp = flow.Warp(found) if found and self._carries(found) else None
-        source = problem.source.astype(np.float64)
-        self._followed = self._warp.follow(source) if self._warp else None
-        self._held = self._closeness(source)
-        self._carried_share = -1.0
+        self._like_parts = LikeParts(problem, options.like_parts, options.landmarks)
         self._path = flow.BodyPath(
             self._distance(problem.source_mesh, problem.source, axis),
             self._distance(problem.target_mesh, problem.target, axis),
@@ -186,7 +170,7 @@ class Flow(MpmMethod[FlowOptions]):
             reach=options.reach,
             matter=len(problem.source) * self._mass / full,
             tension=self._tension,
-            warp=self._warp,
+            warp=self._like_parts.warp,
         )
         self._bodies = flow.BodiesAhead(self._path)
         self._guidance = device.vectors(len(problem.source))
@@ -211,10 +195,12 @@ class Flow(MpmMethod[FlowOptions]):
         share, next_share = self._share(frame), self._share(frame + 1)
         self._load_bodies(frame, share, next_share)
         steps = self._steps()
-        events = [] if frame else self._decisions()
+        events = [] if frame else self._like_parts.decisions()
         order = self._cell_order()
-        if self._warp:
-            self._guidance.from_numpy(self._guide(share, next_share)[order])
+        if self._like_parts.warp:
+            step = self._like_parts.step(self._particles.x, share, next_share)
+            velocity = step / (self._frame_seconds * self._edge)  # [cells/s]
+            self._guidance.from_numpy(velocity.astype(self.device.numpy_real)[order])
         for restart in range(self.options.watchdog.restarts + 1):
             faults = self._flow(order, steps, share, next_share)
             if not faults:
@@ -278,7 +264,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._particles = layer.download().scaled(self._edge).permuted(np.argsort(order))
 
     def _share(self, frame: int) -> float:
-        return ease(frame / ((1 - self.options.rest) * self.problem.config.frames))
+        return self.options.share_of_way(frame, self.problem.config.frames)
 
     def _distance(
         self, mesh: Mesh | None, points: NDArray[np.float32], axis: NDArray[np.float64]
@@ -294,81 +280,12 @@ class Flow(MpmMethod[FlowOptions]):
         )
         return found["distance"]
 
-    def _match(self) -> flow.Correspondence | None:
-        options, problem = self.options, self.problem
-        if options.like_parts == "off" and not options.landmarks:
-            return None
-        placed = (
-            _placed([p.source for p in options.landmarks], problem.source_to_grid, problem.source),
-            _placed([p.target for p in options.landmarks], problem.target_to_grid, problem.target),
-        )
-        found = kept_results.kept(
-            "correspondence",
-            (problem.source, problem.target, problem.config.spacing, *placed),
-            lambda: _arrays(self._match_anew(*placed)),
-        )
-        return _correspondence(found)
-
-    def _match_anew(
-        self, source_marks: NDArray[np.float64], target_marks: NDArray[np.float64]
-    ) -> flow.Correspondence:
-        """Like parts of the shapes, given where their landmarks are [dx], each shape [k, 3]."""
-        source, target = (
-            flow.sample_controls(points.astype(np.float64), self.problem.config.spacing, marks)
-            for points, marks in (
-                (self.problem.source, source_marks),
-                (self.problem.target, target_marks),
-            )
-        )
-        with threadpoolctl.threadpool_limits(1, "blas"):  # matrices are small: threads only wait
-            return flow.match(source, target)
-
-    def _carries(self, found: flow.Correspondence) -> bool:
-        """Whether parts are carried to like parts."""
-        wanted = self.options.like_parts == "on" or self.options.landmarks
-        return bool(wanted) or found.distortion < LARGEST_DISTORTION
-
     @property
     def _tension(self) -> float:
         """How far the body is rounded half-way [dx]: shapes with like parts keep theirs."""
         if self.options.tension is None:
-            return 0.0 if self._warp else TENSION
+            return 0.0 if self._like_parts.warp else TENSION
         return self.options.tension
-
-    def _decisions(self) -> list[Event]:
-        """What was decided before the first frame."""
-        found = self._correspondence
-        if found is None:
-            return []
-        message = (
-            f"Parts are {'' if self._warp else 'not '}carried to like parts: matched geodesic "
-            f"distances differ by {found.distortion:.1%} of their mean."
-        )
-        data = {"distortion": found.distortion, "plain_distortion": found.plain_distortion}
-        return [Event(0, "correspondence", message, data)]
-
-    def _guide(self, share: float, next_share: float) -> NDArray[Any]:
-        """Velocity that the warp asks of each particle in a frame [cells/s], shape [n, 3]."""
-        here = self._carried if share == self._carried_share else self._carry(share)
-        there = self._carry(next_share)
-        pull = np.maximum(RETURN * (1 - share), self._held)
-        step = there - here + pull[:, None] * (here - self._particles.x)
-        return (step / (self._frame_seconds * self._edge)).astype(self.device.numpy_real)
-
-    def _closeness(self, source: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How close particles are to a landmark, 1 at it, shape [n]: these follow the warp."""
-        if not self._warp or not self.options.landmarks:
-            return np.zeros(len(source))
-        marks = self._warp.start[: len(self.options.landmarks)]
-        distance = np.min([np.linalg.norm(source - mark, axis=1) for mark in marks], axis=0)
-        close: NDArray[np.float64] = np.exp(-((distance / LANDMARK_REACH) ** 2))
-        return close
-
-    def _carry(self, share: float) -> NDArray[np.float64]:
-        """Where the warp wants the particles at a share of the way [dx], shape [n, 3]."""
-        assert self._warp and self._followed
-        self._carried, self._carried_share = self._warp.forward(self._followed, share), share
-        return self._carried
 
     def _load_bodies(self, frame: int, share: float, next_share: float) -> None:
         """Bring the body before and after the frame to the device."""
@@ -484,55 +401,3 @@ def grid_size(
     edge = options.cell * config.spacing * max(growth, math.sqrt(growth))
     wanted = min(radius / edge + MARGIN, config.grid.half_extent / edge)
     return edge, math.ceil(wanted / EXTENTS) * EXTENTS
-
-
-def _arrays(found: flow.Correspondence) -> kept_results.Arrays:
-    """A correspondence as arrays by name."""
-    ends = {
-        f"{end}_{name}": value for end in ENDS for name, value in vars(getattr(found, end)).items()
-    }
-    numbers = {"plan": found.plan, "distortion": found.distortion}
-    return {
-        name: np.asarray(value)
-        for name, value in (ends | numbers | {"plain_distortion": found.plain_distortion}).items()
-    }
-
-
-def _correspondence(arrays: kept_results.Arrays) -> flow.Correspondence:
-    """The correspondence of which `_arrays` has made arrays."""
-    source, target = (
-        flow.Controls(
-            points=arrays[f"{end}_points"],
-            weights=arrays[f"{end}_weights"],
-            geodesic=arrays[f"{end}_geodesic"],
-            scale=float(arrays[f"{end}_scale"]),
-            landmark_count=int(arrays[f"{end}_landmark_count"]),
-        )
-        for end in ENDS
-    )
-    distortions = float(arrays["distortion"]), float(arrays["plain_distortion"])
-    return flow.Correspondence(source, target, arrays["plan"], *distortions)
-
-
-def _placed(
-    marks: list[Vector], to_grid: NDArray[np.float64], points: NDArray[np.float32]
-) -> NDArray[np.float64]:
-    """Landmarks in grid units, shape [k, 3].
-
-    Raises:
-        ConfigError: One is not at the shape.
-    """
-    placed = np.array(marks, np.float64).reshape(-1, 3) @ to_grid[:3, :3].T + to_grid[:3, 3]
-    lower, upper = (points.min(axis=0), points.max(axis=0))
-    for mark, place in zip(marks, placed, strict=True):
-        distance = float(np.linalg.norm(points - place, axis=1).min())
-        if distance > LANDMARK_REACH:
-            to_user = np.linalg.inv(to_grid)
-            corners = np.array([lower, upper]) @ to_user[:3, :3].T + to_user[:3, 3]
-            lowest, highest = (", ".join(f"{x:.4g}" for x in corner) for corner in corners)
-            raise ConfigError(
-                f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
-                f"outside the shape, which reaches from ({lowest}) to ({highest}).",
-                "Give it in the coordinates of the mesh, on its surface or inside.",
-            )
-    return placed

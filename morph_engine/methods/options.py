@@ -34,10 +34,12 @@ class MethodOptions(Section):
     Attributes:
         presets: Values under presets, nested, by the name of the preset.
         cost: What a run costs; by default as much as differentiable simulation.
+        fixed: Options, or `frames`, that cannot change within a run: a fork keeps them.
     """
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     cost: ClassVar[CostRates] = CostRates(40e-6, 4e-6, 5.2, 0.2)
+    fixed: ClassVar[tuple[str, ...]] = ()
 
     name: str
 
@@ -75,6 +77,23 @@ class MethodOptions(Section):
             ratio: Target points over particles.
         """
         return 0
+
+    def share_of_way(self, frame: float, frames: int) -> float:
+        """Share of the change from source to target that is to be made after so many frames of all.
+
+        Even steps, where a method has no schedule of its own.
+        """
+        return frame / frames
+
+    def check_legs(self, count: int) -> None:
+        """Refuse a morph through several shapes, where options are about a source and a target.
+
+        Args:
+            count: Number of targets, at least 2.
+
+        Raises:
+            ConfigError: They do not go together.
+        """
 
     def check_grid(self, grid: GridConfig) -> None:
         """Check the options against the grid that they shall hold on.

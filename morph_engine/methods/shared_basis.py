@@ -29,6 +29,7 @@ class SharedBasisOptions(PointOptions):
     """Chamfer distance over a smooth field of displacements: control points on a lattice."""
 
     cost: ClassVar[CostRates] = CostRates(20e-6, 5e-6, 1.3, 0.3)
+    fixed: ClassVar[tuple[str, ...]] = ("cells",)
 
     name: Literal["shared_basis"] = "shared_basis"
     cells: int = Field(8, ge=1, le=64, description="Cells along the source's longest side.")

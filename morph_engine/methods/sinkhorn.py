@@ -21,6 +21,7 @@ class SinkhornOptions(PointOptions):
 
     # its work is on the nodes
     cost: ClassVar[CostRates] = CostRates(6e-6, 6e-6, 0.5, 0.2, seconds_per_frame=8.3)
+    fixed: ClassVar[tuple[str, ...]] = ("kernel",)
 
     name: Literal["sinkhorn"] = "sinkhorn"
     kernel: Kernel = Field("cubic", description="B-spline interpolation.")

@@ -16,6 +16,7 @@ from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
 from morph_engine.methods.options import CostRates
 from morph_engine.sections import NonNegative
+from morph_engine.smoothstep import smoothstep
 
 CELLS_PER_STEP = 0.2
 """What the fastest particle moves in a time step, at most [cells]."""
@@ -24,7 +25,7 @@ COURANT = 0.4
 """What an elastic wave travels in a time step, at most [cells]."""
 
 STEEPEST = 1.5
-"""Largest slope of `ease`."""
+"""Largest slope of `smoothstep`."""
 
 
 class TransportOptions(MpmOptions):
@@ -38,6 +39,7 @@ class TransportOptions(MpmOptions):
         "published": {"material": {"model": "fixed_corotated"}},
     }
     cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.85, 0.2)
+    fixed: ClassVar[tuple[str, ...]] = ("frames", "rest", "destinations", "sweeps", "group")
 
     name: Literal["transport"] = "transport"
     destinations: Literal["even", "random"] = Field(
@@ -56,6 +58,10 @@ class TransportOptions(MpmOptions):
         0.03,
         description="What a particle may be moved in a step beyond the motion of the grid [h].",
     )
+
+    def share_of_way(self, frame: float, frames: int) -> float:
+        """Begins and ends at rest."""
+        return smoothstep(frame / ((1 - self.rest) * frames))
 
 
 class Transport(MpmMethod[TransportOptions]):
@@ -94,9 +100,8 @@ class Transport(MpmMethod[TransportOptions]):
         simulation.dt = self._frame_seconds / steps
         limit = options.correction * self.problem.config.spacing
         for step in range(steps):
-            share = ease(
-                (frame + (step + 1) / steps) / ((1 - options.rest) * self.problem.config.frames)
-            )
+            moment = frame + (step + 1) / steps
+            share = options.share_of_way(moment, self.problem.config.frames)
             here, there = simulation.layers
             mpm.steering.steer(here.x, here.v, here.F, begin, destination, share, simulation.dt)
             faults = simulation.forward()
@@ -160,9 +165,3 @@ class Transport(MpmMethod[TransportOptions]):
         waves = self._frame_seconds * options.material.sound_speed / config.grid.dx
         least = max(cells / CELLS_PER_STEP, waves / COURANT)
         return max(options.time.transitions_per_frame, math.ceil(least))
-
-
-def ease(time: float) -> float:
-    """Share of the way after a share of the time: begins and ends at rest (3 t^2 - 2 t^3)."""
-    t = min(time, 1.0)
-    return t * t * (3 - 2 * t)

@@ -66,6 +66,11 @@ class Reference:
         """Spacing of so many particles on a cubic lattice that fills the volume [dx]."""
         return float(np.cbrt(self.volume / count))
 
+    def distance_to_mesh(self, positions: npt.ArrayLike) -> float:
+        """Rms distance from a particle to the nearest random point [dx], over all sets."""
+        points, _ = finite_points(positions)
+        return _rms(np.stack([each.query(points)[0] for each in self._sets]))
+
     def measure(self, positions: npt.ArrayLike, spacing: float) -> dict[str, float]:
         """What `mesh_metrics` returns, of particles of a spacing [dx]."""
         points, _ = finite_points(positions)
@@ -84,7 +89,7 @@ class Reference:
         return {
             "dense_t2s": _rms(distance[wanted]),
             "dense_floor": self.spacing(len(points)) / 2,
-            "dense_s2t": _rms(np.stack([each.query(points)[0] for each in self._sets])),
+            "dense_s2t": self.distance_to_mesh(points),
             "dense_s2t_floor": self.floor,
             "covered": float(filled[wanted].mean()),
             "mesh_iou": _overlap(filled, wanted),

@@ -14,7 +14,7 @@ import scipy
 
 from morph_engine.geometry.point_cloud import Points, farthest_points
 from morph_engine.geometry.surface_reconstruction import surface_euler
-from morph_engine.metrics.body import measure_body
+from morph_engine.metrics.body import count_pieces, measure_body
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
 NEIGHBORS = 12
@@ -31,19 +31,20 @@ BODIES = 9
 
 def path_metrics(
     frames: Sequence[npt.ArrayLike],
-    spacing: float,
+    spacing: npt.ArrayLike,
     *,
     shares: npt.ArrayLike | None = None,
     settled: npt.ArrayLike | None = None,
 ) -> dict[str, float]:
     """Measure a path, by the worst of its frames where a number is one of a frame.
 
-    The body is measured in 9 evenly spaced frames, everything else in all.
+    Area, volume and Euler number are taken in 9 evenly spaced frames, everything else in all.
 
     Args:
         frames: Particle positions of each frame [dx], shape [n, 3] each, the source first.
             Particles that are not finite in all of them take no part.
-        spacing: Lattice spacing h [dx].
+        spacing: Lattice spacing h [dx]; or of each frame, where particles end farther apart or
+            closer, shape [frames].
         shares: Share of the way at each frame, 0 to 1, for methods that ease or rest, shape
             [frames]; even steps when not given.
         settled: Length of the moves that the simulation did not make [dx], shape [n].
@@ -54,27 +55,29 @@ def path_metrics(
         `motion_metrics`; ``settled`` if given. `METRICS` defines them.
     """
     finite = np.all([np.isfinite(frame).all(axis=1) for frame in frames], axis=0)
-    frames = [np.asarray(frame)[finite] for frame in frames]
-    chosen = np.unique(np.linspace(0, len(frames) - 1, BODIES).round().astype(int))
-    share = np.linspace(0, 1, len(frames)) if shares is None else np.asarray(shares, np.float64)
-    bodies = [measure_body(frames[i], spacing) for i in chosen]
+    places = [np.asarray(frame, np.float64)[finite] for frame in frames]
+    chosen = np.unique(np.linspace(0, len(places) - 1, BODIES).round().astype(int))
+    share = np.linspace(0, 1, len(places)) if shares is None else np.asarray(shares, np.float64)
+    h = np.broadcast_to(np.asarray(spacing, np.float64), len(places))
+    bodies = [measure_body(places[i], h[i]) for i in chosen]
     area = over_schedule([body.area for body in bodies], share[chosen])
     volume = over_schedule([body.volume for body in bodies], share[chosen])
-    gaps = [gap_metrics(frame, spacing) for frame in frames]
+    gaps = [gap_metrics(frame, apart) for frame, apart in zip(places, h, strict=True)]
+    pieces = [count_pieces(frame, apart) for frame, apart in zip(places, h, strict=True)]
     values = {
         "area_min": float(area.min()),
         "area_max": float(area.max()),
         "volume_min": float(volume.min()),
         "volume_max": float(volume.max()),
-        "more_pieces": _beyond_ends([body.pieces for body in bodies]),
-        "more_euler": _beyond_ends([surface_euler(frames[i], spacing) for i in chosen]),
-        **neighbor_metrics(frames[0], frames[-1], spacing),
+        "more_pieces": _beyond_ends(pieces),
+        "more_euler": _beyond_ends([surface_euler(places[i], h[i]) for i in chosen]),
+        **neighbor_metrics(places[0], places[-1], h[0]),
         **{name: min(gap[name] for gap in gaps) for name in gaps[0]},
-        "geodesic": geodesic_distortion(frames[0], frames[-1], spacing),
-        **motion_metrics(frames),
+        "geodesic": geodesic_distortion(places[0], places[-1], h[0]),
+        **motion_metrics(places),
     }
     if settled is not None:
-        values["settled"] = settled_share(frames, np.asarray(settled)[finite])
+        values["settled"] = settled_share(places, np.asarray(settled)[finite])
     return values
 
 

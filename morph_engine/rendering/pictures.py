@@ -6,23 +6,30 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
-from scipy.spatial.transform import Rotation
+from PIL import Image, ImageColor
 
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
 from morph_engine.geometry.point_cloud import finite_points
 from morph_engine.geometry.topology import vertex_normals
-from morph_engine.rendering import colormap
+from morph_engine.geometry.upward import Up
+from morph_engine.rendering import colormap, materials
+from morph_engine.rendering.camera_path import AZIMUTH, ELEVATION, CameraPath
 from morph_engine.rendering.rasterizer import Canvas
-from morph_engine.rendering.video_encoder import VideoKind, write_video
+from morph_engine.rendering.video_encoder import (
+    TRANSPARENT_KINDS,
+    VideoKind,
+    write_pictures,
+    write_video,
+)
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.fields import find as find_field
+from morph_engine.results.playback import Playback
 from morph_engine.results.selection import Selection, check_snap
+from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
 Floats = npt.NDArray[np.float64]
@@ -36,7 +43,17 @@ OVERSAMPLING = 2
 """Pixels are drawn so many times finer, and averaged."""
 
 MARGIN = 1.06
-KINDS: dict[str, VideoKind] = {".mp4": "mp4", ".gif": "gif"}
+KINDS: dict[str, VideoKind] = {
+    ".mp4": "mp4",
+    ".webm": "webm",
+    ".mov": "mov",
+    ".gif": "gif",
+    ".zip": "png",
+}
+WHITE = (1.0, 1.0, 1.0)
+LEAST_COVER = 1e-6
+STILL = CameraPath()
+TURN = CameraPath("turn")
 THUMBNAIL_QUALITY = 85
 THUMBNAIL = (240, 180)
 HOLD_SECONDS = 1.0
@@ -93,6 +110,16 @@ class Camera:
         reach = MARGIN * max(float((half * min(size) / np.array(size)).max()), 1e-6)
         return cls(rotation, centre, reach)
 
+    @classmethod
+    def anywhere(cls, points: npt.ArrayLike, rotation: Floats) -> Camera:
+        """A camera that shows all points from wherever it looks; arguments as for `facing`."""
+        seen, _ = finite_points(points)
+        if not len(seen):
+            return cls(rotation, np.zeros(3), 1.0)
+        centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
+        farthest = float(np.linalg.norm(seen - centre, axis=1).max())
+        return cls(rotation, centre, MARGIN * max(farthest, 1e-6))
+
     def seen(self, points: npt.ArrayLike, size: Size) -> npt.NDArray[np.float32]:
         """Positions in pixels from the picture's centre, shape [n, 3], float32."""
         apart = np.asarray(points, np.float64) - self.centre
@@ -103,7 +130,7 @@ class Camera:
         return min(size) / (2 * self.reach)
 
 
-def look(*, azimuth: float = 25.0, elevation: float = 15.0, up: Literal["y", "z"] = "y") -> Floats:
+def look(*, azimuth: float = AZIMUTH, elevation: float = ELEVATION, up: Up = "y") -> Floats:
     """Rotation from the domain to an eye that looks along -z with y upwards.
 
     Args:
@@ -150,6 +177,8 @@ def picture(
     faces: npt.NDArray[np.int32] | None = None,
     view: Camera | None = None,
     size: Size = (960, 720),
+    background: tuple[float, float, float] | None = WHITE,
+    material: str | None = None,
 ) -> npt.NDArray[np.uint8]:
     """Draw particles as small lit spheres, or a surface.
 
@@ -164,9 +193,11 @@ def picture(
         faces: Vertex indices of the surface, shape [f, 3]; None for particles.
         view: The camera; one that shows everything when not given.
         size: Width and height [pixels].
+        background: RGB, 0 to 1; None for a transparent one.
+        material: A name of `materials.MATERIALS`; plain matter under one lamp when not given.
 
     Returns:
-        RGB, shape [height, width, 3], uint8.
+        RGB, shape [height, width, 3], uint8; on a transparent background RGBA, [height, width, 4].
     """
     points = np.asarray(positions, np.float64)
     if colors is None and values is not None:
@@ -174,27 +205,63 @@ def picture(
         name = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
         colors = colormap.colors(values, low, high, palette=name)
     camera = view or Camera.facing(points, look(), size)
-    image = _painted(points, spacing, colors, faces, camera, size)
+    image = _painted(points, spacing, colors, faces, camera, size, material)
+    if background is None:
+        image[..., :3] /= np.maximum(image[..., 3:], LEAST_COVER)
+        return _as_bytes(image)
     rgb, cover = image[..., :3], image[..., 3:]
-    blended = rgb + (1 - cover)  # on white
-    drawn: npt.NDArray[np.uint8] = np.rint(255 * blended).astype(np.uint8)
+    return _as_bytes(rgb + (1 - cover) * np.array(background, np.float32))
+
+
+def _as_bytes(image: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    drawn: npt.NDArray[np.uint8] = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
     return drawn
 
 
-def thumbnail(positions: npt.ArrayLike, spacing: float) -> bytes:
-    """A picture of particles [dx], shape [n, 3], of lattice spacing h [dx] on a transparent ground.
+def thumbnail(
+    positions: npt.ArrayLike,
+    spacing: float,
+    colors: npt.NDArray[np.uint8] | None = None,
+    up: Up = "y",
+) -> bytes:
+    """A small picture of particles on a transparent ground.
 
     It is a WebP file of 240 x 180 pixels, a sixth of a PNG file in size.
+
+    Args:
+        positions: Of the particles [dx], shape [n, 3].
+        spacing: Their lattice spacing h [dx].
+        colors: Their colours, sRGB, shape [n, 3], uint8, if they have any.
+        up: The axis that points upwards in the picture.
     """
     points = np.asarray(positions, np.float64)
-    camera = Camera.facing(points, look(), THUMBNAIL)
-    image = _painted(points, spacing, None, None, camera, THUMBNAIL)
-    image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
+    camera = Camera.facing(points, look(up=up), THUMBNAIL)
+    shades = None if colors is None else colors / 255
+    image = _painted(points, spacing, shades, None, camera, THUMBNAIL)
+    image[..., :3] /= np.maximum(image[..., 3:], LEAST_COVER)
     file = io.BytesIO()
-    Image.fromarray(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(
-        file, "WEBP", quality=THUMBNAIL_QUALITY
-    )
+    Image.fromarray(_as_bytes(image)).save(file, "WEBP", quality=THUMBNAIL_QUALITY)
     return file.getvalue()
+
+
+def background_color(text: str) -> tuple[float, float, float] | None:
+    """A background as typed: RGB, 0 to 1, or None for a transparent one.
+
+    Args:
+        text: ``transparent``, a name such as ``white``, or ``#rrggbb``.
+
+    Raises:
+        ConfigError: It is no colour.
+    """
+    if text == "transparent":
+        return None
+    try:
+        red, green, blue = ImageColor.getrgb(text)[:3]
+    except ValueError as error:
+        raise ConfigError(
+            f"{text!r} is no colour.", "Write transparent, a name such as black, or #1e2a38."
+        ) from error
+    return red / 255, green / 255, blue / 255
 
 
 def video(
@@ -208,48 +275,78 @@ def video(
     size: Size = (960, 720),
     fps: float = 12.0,
     frames: Sequence[int] | None = None,
-    up: Literal["y", "z"] = "y",
+    up: Up | None = None,
     kind: VideoKind | None = None,
+    timing: Timing | None = None,
+    camera: CameraPath = STILL,
+    background: str = "white",
+    material: str | None = None,
     watch: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Write a video of a result; it rests for a second on the last frame.
+    """Write a video of a result.
+
+    Without a timing it has a picture per frame and rests for a second on the last one.
 
     Args:
         result: A result file, or one that is open.
-        path: The file to write, and to return.
-        field: Field to colour by, see `results.fields.FIELDS`. By default particles keep the
-            colour of their height in the source, and a surface is plain.
-        turntable: Turn once around the shape.
+        path: The file to write, and to return. A path without an ending is a folder of PNG files.
+        field: Field to colour by, see `results.fields.FIELDS`. By default all has the colours of
+            the shapes; where these have none, particles keep the colour of their height in the
+            source, and a surface is plain.
+        turntable: Turn once around the shape; short for that camera path.
         surface: Show a surface in place of particles.
         snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
-        size: Width and height [pixels], even numbers.
-        fps: Frames per second.
+        size: Width and height [pixels], even numbers up to 4096.
+        fps: Frames per second, without a timing.
         frames: Indices of the frames; None means all.
-        up: The upward axis.
-        kind: ``mp4`` or ``gif``; by the path's ending when not given.
+        up: The upward axis; None for that of the source.
+        kind: ``mp4``, ``webm`` (VP9), ``mov`` (ProRes 4444), ``gif``, or ``png`` for a file per
+            picture in a zip archive; by the path's ending when not given.
+        timing: Duration, rests, pace and repetition, apart from the frames there are: all from the
+            source on, and what lies between frames.
+        camera: The way of the eye.
+        background: A colour, or ``transparent`` for PNG, WebM and ProRes.
+        material: A name of `materials.MATERIALS`, for what has no colours of its own and for how
+            all shines; plain matter under one lamp when not given.
         watch: Called with the number of pictures drawn and to be drawn.
 
     Raises:
-        ConfigError: The kind, the size or the field is none that can be used, or there is no
-            surface to draw.
-        ExtraError: An MP4 is asked for, and the package that writes it is not installed.
+        ConfigError: The kind, the size, the field, the background, the material or the timing is
+            none that can be used, or there is no surface to draw.
+        ExtraError: A video is asked for that PyAV writes, which is not installed.
         ResultError: The result is damaged, or lacks a frame or the field.
         MeshError: The particles of a frame enclose nothing.
     """
     path = Path(path)
-    chosen = kind or KINDS.get(path.suffix.lower())
+    folder = not path.suffix and kind in (None, "png")
+    chosen = "png" if folder else kind or KINDS.get(path.suffix.lower())
     if chosen is None:
         raise ConfigError(
-            f"{path.name} says no kind of video.", "Name a file that ends in .mp4 or .gif."
+            f"{path.name} says no kind of video.",
+            "Name a file that ends in .mp4 or .gif, .webm, .mov, or .zip for PNG files, or a "
+            "folder for these.",
         )
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
         raise ConfigError(
             f"A video cannot have {size[0]} x {size[1]} pixels.",
             "Use even numbers from 16 to 4096, such as 960x720.",
         )
+    color = background_color(background)
+    if color is None and chosen not in TRANSPARENT_KINDS:
+        raise ConfigError(
+            f"A video of kind {chosen} has no transparent background.",
+            f"Use a colour, or one of the kinds {', '.join(TRANSPARENT_KINDS)}.",
+        )
+    if timing and frames is not None:
+        raise ConfigError(
+            "A film of a given time shows the whole run, not chosen frames.",
+            "Leave out the frames, or what says its time.",
+        )
     if field:
         find_field(field)
+    if material:
+        materials.find(material)
     check_snap(surface=surface, snap=snap)
     with opened(result) as trajectory:
         if not trajectory.frame_count:
@@ -265,10 +362,25 @@ def video(
             fields=(field,) if field else (),
             watch=watch,
         )
-        pictures = _pictures(selection, look(up=up), size, turntable=turntable)
-        held = _resting(pictures, round(HOLD_SECONDS * fps))
-        with writing(path), replacing(path) as temporary:
-            write_video(temporary, held, kind=chosen, fps=fps)
+        playback = Playback(trajectory, timing) if timing else None
+        pictures = _pictures(
+            selection,
+            playback,
+            size=size,
+            up=up or trajectory.run.placement.up,
+            camera=TURN if turntable else camera,
+            background=color,
+            material=material,
+        )
+        if not timing:
+            pictures = _resting(pictures, round(HOLD_SECONDS * fps))
+        with writing(path):
+            if folder:
+                write_pictures(path, pictures)
+            else:
+                with replacing(path) as temporary:
+                    rate = timing.fps if timing else fps
+                    write_video(temporary, pictures, kind=chosen, fps=rate)
     return path
 
 
@@ -283,37 +395,66 @@ def _resting(
 
 
 def _pictures(
-    selection: Selection, rotation: Floats, size: Size, *, turntable: bool
+    selection: Selection,
+    playback: Playback | None,
+    *,
+    size: Size,
+    up: Up,
+    camera: CameraPath,
+    background: tuple[float, float, float] | None,
+    material: str | None,
 ) -> Iterator[npt.NDArray[np.uint8]]:
+    """A picture per frame of the selection, or per moment of a playback."""
     trajectory = selection.trajectory
-    source = trajectory.run.source_points
+    run = trajectory.run
     ends = (trajectory.positions(selection.frames[0]), trajectory.positions(selection.frames[-1]))
-    shown = np.concatenate([*ends, trajectory.target_points])
-    frame = Camera.around if turntable else Camera.facing
-    camera = frame(shown, rotation, size)
+    shown = np.concatenate([*ends, *run.via_points, run.target_points])
+    if playback:
+        shown = np.concatenate([shown, run.source_points])
+    eye = _first_eye(shown, camera, size, up)
     (name,) = selection.fields or (None,)
     diverging = name is not None and FIELDS[name].diverging
     limits = _limits(selection, name) if name else None
-    colors = None if name or selection.surface else height_colors(source, rotation)
-    for done, snapshot in enumerate(selection.snapshots()):
-        turned = _turn(rotation, done / len(selection.frames)) if turntable else rotation
+    colors = None
+    if not (name or selection.surface or material):
+        colors = height_colors(run.source_points, look(up=up))
+    count = len(playback.moments) if playback else len(selection.frames)
+    # the last picture of a film that is timed ends a turn, and shows what the first one does
+    steps = count - 1 if playback else count
+    snapshots = selection.played(playback) if playback else selection.snapshots()
+    for done, snapshot in enumerate(snapshots):
+        view = camera.at(done / steps)
+        now = colors
+        if snapshot.colors is not None and not name:
+            now = snapshot.colors / 255
+        elif playback and colors is not None:
+            now = playback.values(playback.moments[done], colors)
         yield picture(
             snapshot.vertices,
             spacing=snapshot.spacing,
             values=snapshot.fields.get(name) if name else None,
-            colors=colors,
+            colors=now,
             limits=limits,
             diverging=diverging,
             faces=snapshot.faces,
-            view=replace(camera, rotation=turned),
+            view=replace(
+                eye,
+                rotation=look(azimuth=view.azimuth, elevation=view.elevation, up=up),
+                reach=eye.reach / view.zoom,
+            ),
             size=size,
+            background=background,
+            material=material,
         )
 
 
-def _turn(rotation: Floats, share: float) -> Floats:
-    """A rotation after a share of a full turn about the axis that looks upright."""
-    turn: Floats = Rotation.from_rotvec(2 * np.pi * share * _upward(rotation)).as_matrix()
-    return rotation @ turn
+def _first_eye(shown: npt.NDArray[np.floating], path: CameraPath, size: Size, up: Up) -> Camera:
+    """A camera that has everything in the picture, wherever its path leads it."""
+    if path == STILL:
+        return Camera.facing(shown, look(up=up), size)
+    if path == TURN:
+        return Camera.around(shown, look(up=up), size)
+    return Camera.anywhere(shown, look(up=up))
 
 
 def _upward(rotation: Floats) -> Floats:
@@ -337,6 +478,7 @@ def _painted(
     faces: npt.NDArray[np.int32] | None,
     camera: Camera,
     size: Size,
+    material: str | None = None,
 ) -> npt.NDArray[np.float32]:
     """The shape alone: RGB times cover, and cover, shape [height, width, 4], float32, 0 to 1."""
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
@@ -350,7 +492,18 @@ def _painted(
     else:
         normals = (vertex_normals(points, faces) @ camera.rotation.T).astype(np.float32)
         canvas.triangles(camera.seen(points, fine), normals, rgb, faces)
-    cover = canvas.covered[..., None].astype(np.float32)
-    image = np.concatenate([canvas.lit(scale) * cover, cover], axis=2)
+    if material:
+        to_room = _room(camera.rotation)
+        image = canvas.lit_as(materials.find(material), scale, to_room, colored=colors is not None)
+    else:
+        cover = canvas.covered[..., None].astype(np.float32)
+        image = np.concatenate([canvas.lit(scale) * cover, cover], axis=2)
     tiles = image.reshape(size[1], OVERSAMPLING, size[0], OVERSAMPLING, 4)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
+
+
+def _room(rotation: Floats) -> Floats:
+    """Rotation from the eye to a room whose y is the domain's axis that looks upright."""
+    upright = np.eye(3)[[1, 2, 0]] if _upward(rotation)[2] else np.eye(3)
+    to_room: Floats = upright @ rotation.T
+    return to_room

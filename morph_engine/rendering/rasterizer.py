@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter
 
+from morph_engine.rendering.materials import Material, shaded
+
 Floats = npt.NDArray[np.float32]
 
 LIGHT = np.array([-0.4, 0.6, 0.7], np.float32) / np.float32(np.linalg.norm([-0.4, 0.6, 0.7]))
@@ -144,6 +146,28 @@ class Canvas:
         color = self._color.reshape(self._height, self._width, 3)
         lit: Floats = np.minimum(color * shade[..., None], np.float32(1))
         return lit
+
+    def lit_as(
+        self, material: Material, scale: float, to_room: npt.NDArray[np.float64], *, colored: bool
+    ) -> Floats:
+        """The picture as of a material in a room, hollows as of `lit`.
+
+        Args:
+            material: The material.
+            scale: Over which hollows are looked for [pixels].
+            to_room: Rotation from the eye to the room, whose y points upwards, shape [3, 3].
+            colored: Whether the colours that were drawn stand in place of the material's own.
+
+        Returns:
+            RGB times cover, and cover, shape [height, width, 4], 0 to 1, float32.
+        """
+        pixel = np.flatnonzero(np.isfinite(self._depth))
+        openness = self._openness(scale).reshape(-1)[pixel]
+        own = self._color[pixel] if colored else None
+        rgb, cover = shaded(material, self._normal[pixel], openness, to_room, own)
+        image = np.zeros((len(self._depth), 4), np.float32)
+        image[pixel] = np.column_stack([rgb, cover])
+        return image.reshape(self._height, self._width, 4)
 
     def _nearest(
         self, fragments: Iterable[Fragments]

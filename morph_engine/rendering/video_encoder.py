@@ -1,23 +1,75 @@
-"""Video files: MP4 by PyAV, GIF by Pillow."""
+"""Films as files: MP4, WebM and ProRes by PyAV, GIF and PNG by Pillow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import io
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from morph_engine.errors import ConfigError
+from morph_engine.files import replacing
 from morph_engine.optional_packages import load
 
-VideoKind = Literal["mp4", "gif"]
+VideoKind = Literal["mp4", "gif", "webm", "mov", "png"]
 Picture = npt.NDArray[np.uint8]
 
-QUALITY = "20"
-"""Constant rate factor of H.264: 0 is lossless, 18 looks so, 28 is coarse."""
+EARLIEST = (1980, 1, 1, 0, 0, 0)
+"""What a zip archive can say earliest; the same film twice gives the same bytes."""
+
+
+@dataclass(frozen=True)
+class _Encoding:
+    """How PyAV writes a kind of video.
+
+    Attributes:
+        container: Format of the file.
+        codec: Name of the encoder.
+        opaque: Pixel format without transparency.
+        transparent: Pixel format with it; empty where there is none.
+        options: Of the encoder.
+        container_options: Of the file.
+    """
+
+    container: str
+    codec: str
+    opaque: str
+    transparent: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+    container_options: Mapping[str, str] = field(default_factory=dict)
+
+
+# A constant rate factor of H.264 of 0 is lossless, 18 looks so, 28 is coarse; VP9 counts to 63.
+_ENCODINGS: dict[VideoKind, _Encoding] = {
+    "mp4": _Encoding(
+        "mp4",
+        "libx264",
+        "yuv420p",
+        options={"crf": "20"},
+        container_options={"movflags": "+faststart"},
+    ),
+    "webm": _Encoding(
+        "webm",
+        "libvpx-vp9",
+        "yuv420p",
+        "yuva420p",
+        options={"crf": "24", "b": "0", "deadline": "good", "cpu-used": "4"},
+    ),
+    "mov": _Encoding(
+        "mov", "prores_ks", "yuv444p10le", "yuva444p10le", options={"profile": "4444"}
+    ),
+}
+
+TRANSPARENT_KINDS: tuple[VideoKind, ...] = ("png", "webm", "mov")
+"""Kinds that may have a transparent background."""
 
 
 def write_video(path: Path, pictures: Iterable[Picture], *, kind: VideoKind, fps: float) -> None:
@@ -25,31 +77,68 @@ def write_video(path: Path, pictures: Iterable[Picture], *, kind: VideoKind, fps
 
     Args:
         path: The file.
-        pictures: RGB, each of shape [height, width, 3], uint8; height and width are even.
-        kind: ``mp4`` (H.264, which every player knows) or ``gif``.
-        fps: Pictures per second.
+        pictures: RGB or RGBA, each of shape [height, width, 3 or 4], uint8; height and width are
+            even. RGBA only for `TRANSPARENT_KINDS`.
+        kind: ``mp4`` (H.264, which every player knows), ``webm`` (VP9), ``mov`` (ProRes 4444),
+            ``gif``, or ``png`` for a zip archive with a file per picture.
+        fps: Pictures per second; files of ``png`` do not tell.
 
     Raises:
-        ExtraError: An MP4 is asked for, and PyAV is not installed.
+        ConfigError: PyAV has been built without the encoder.
+        ExtraError: PyAV is needed and not installed.
         OSError: The disk refuses.
     """
-    if kind == "mp4":
-        _write_mp4(path, pictures, fps)
-    else:
+    if kind == "gif":
         _write_gif(path, pictures, fps)
+    elif kind == "png":
+        _write_archive(path, pictures)
+    else:
+        _write_by_av(path, pictures, fps, kind)
 
 
-def _write_mp4(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    av = load("av", extra="video", purpose="MP4")
+def write_pictures(folder: Path, pictures: Iterable[Picture]) -> None:
+    """Write pictures as PNG files into a folder, which is made: frame-0000.png and so on.
+
+    Args:
+        folder: The folder.
+        pictures: As for `write_video`.
+
+    Raises:
+        OSError: The disk refuses.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in _png_files(pictures):
+        with replacing(folder / name) as temporary:
+            temporary.write_bytes(data)
+
+
+def _write_by_av(path: Path, pictures: Iterable[Picture], fps: float, kind: VideoKind) -> None:
+    av = load("av", extra="video", purpose={"mp4": "MP4", "webm": "WebM", "mov": "ProRes"}[kind])
+    encoding = _ENCODINGS[kind]
+    _check_codec(av, encoding.codec)
     rate = Fraction(fps).limit_denominator(1000)
-    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as file:
-        stream = file.add_stream("libx264", rate=rate, options={"crf": QUALITY})
-        stream.pix_fmt = "yuv420p"
+    with av.open(
+        str(path), "w", format=encoding.container, options=dict(encoding.container_options)
+    ) as file:
+        stream = file.add_stream(encoding.codec, rate=rate, options=dict(encoding.options))
         for count, picture in enumerate(pictures):
+            with_alpha = picture.shape[2] == 4
             if not count:
                 stream.height, stream.width = picture.shape[:2]
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+                stream.pix_fmt = encoding.transparent if with_alpha else encoding.opaque
+            form = "rgba" if with_alpha else "rgb24"
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format=form)))
         file.mux(stream.encode(None))
+
+
+def _check_codec(av: Any, codec: str) -> None:
+    try:
+        av.codec.Codec(codec, "w")
+    except ValueError as error:
+        raise ConfigError(
+            f"PyAV has been built without the encoder {codec}.",
+            "Use another kind of video, or install PyAV from its wheels (pip install av).",
+        ) from error
 
 
 def _write_gif(path: Path, pictures: Iterable[Picture], fps: float) -> None:
@@ -59,12 +148,29 @@ def _write_gif(path: Path, pictures: Iterable[Picture], fps: float) -> None:
         # choosing colours takes longer than drawing; a picture that rests has them already
         images.append(images[-1] if picture is last else Image.fromarray(picture).quantize(256))
         last = picture
+    # a GIF counts hundredths of a second: rounded one by one they would add up to another duration
+    ends = [round(100 * count / fps) for count in range(len(images) + 1)]
+    durations = [10 * (end - begin) for begin, end in pairwise(ends)]
     images[0].save(
         path,
         "GIF",
         save_all=True,
         append_images=images[1:],
-        duration=round(1000 / fps),
+        duration=durations,
         loop=0,
         optimize=False,
     )
+
+
+def _write_archive(path: Path, pictures: Iterable[Picture]) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in _png_files(pictures):
+            archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
+
+
+def _png_files(pictures: Iterable[Picture]) -> Iterator[tuple[str, bytes]]:
+    """Name and content of a file per picture."""
+    for count, picture in enumerate(pictures):
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, "PNG")
+        yield f"frame-{count:04d}.png", file.getvalue()

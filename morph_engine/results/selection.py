@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from morph_engine import srgb
 from morph_engine.errors import ConfigError
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_snapping import snapped_to
 from morph_engine.geometry.topology import vertex_normals
+from morph_engine.results.colors import Passage, blended
 from morph_engine.results.fields import field
+from morph_engine.results.playback import Playback, stops
 from morph_engine.results.run_record import Role, Units
+from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory
 
 Positions = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
+Closing = Callable[[npt.ArrayLike, npt.ArrayLike], Positions]
+"""How values of the particles in the last shape become those in the first, where a loop closes."""
 
 ENDS = 0.1
 """Share of the frames, at either end, in which surfaces are drawn to the meshes. Method `flow` lets
@@ -43,11 +50,12 @@ class Snapshot:
     """One frame as it is exported.
 
     Attributes:
-        frame: Its index.
+        frame: Its index; of a moment its number.
         vertices: Particles, or corners of the surface [units of the selection], shape [v, 3].
         faces: Vertex indices of the surface, shape [f, 3], int32; None for particles.
         fields: A value per vertex by field name, shape [v], float32.
         spacing: Lattice spacing h of the particles [units of the selection].
+        colors: Colours of the vertices, sRGB, shape [v, 3], uint8; None where the shapes have none.
     """
 
     frame: int
@@ -55,6 +63,7 @@ class Snapshot:
     faces: npt.NDArray[np.int32] | None
     fields: dict[str, Values]
     spacing: float
+    colors: npt.NDArray[np.uint8] | None = None
 
     @property
     def normals(self) -> Positions:
@@ -75,6 +84,7 @@ class Selection:
         snap: Whether the surface is drawn to the user's own meshes, near source and target.
         tracked: Whether the surface has the same triangles in all frames, see `tracked_surface`.
         fps: Frames per second of an animation; None for what the format usually has.
+        timing: How long it is played, and how; None for a time for each frame.
         units: Coordinates: ``user``, ``source``, ``target`` or ``grid``, see `Units`.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
@@ -87,6 +97,7 @@ class Selection:
     snap: bool = False
     tracked: bool = False
     fps: float | None = None
+    timing: Timing | None = None
     units: Units = "user"
     fields: tuple[str, ...] = ()
     watch: Callable[[int, int], None] = lambda done, total: None
@@ -121,7 +132,7 @@ class Selection:
         run = self.trajectory.run
         if role == "source":
             return _moved(run.source_points, run.transform_to(self.units, 0.0))
-        return _moved(run.target_points, run.transform_to(self.units, 1.0))
+        return _moved(run.target_points, run.transform_to(self.units, 1.0, run.leg_count - 1))
 
     def field(self, name: str, frame: int) -> Values:
         """A field of a frame, a value per particle, shape [n], float32.
@@ -135,40 +146,140 @@ class Selection:
             positions=trajectory.positions(frame),
             previous=trajectory.positions(frame - 1) if frame and name == "speed" else None,
             source=trajectory.run.source_points,
-            target=trajectory.target_points,
+            target=trajectory.run.target_points_of(trajectory.leg_of(frame)),
             det_f=trajectory.det_f(frame) if name == "det_f" else None,
             spacing=self._spacing,
             workers=-1,
         )
 
+    def played(self, playback: Playback) -> Iterator[Snapshot]:
+        """The moments of a playback one after the other, watched, with the number of each.
+
+        Raises:
+            ResultError: A frame is damaged, or lacks a field.
+            MeshError: The particles of a moment enclose nothing.
+        """
+        field_of = lru_cache(4 * max(1, len(self.fields)))(self.field)
+        begins = stops(self.trajectory)
+        for number, moment in enumerate(playback.moments):
+            self.watch(number, len(playback.moments))
+            frames = playback.frames(moment)
+            fields = {
+                name: playback.values(
+                    moment, sum(weight * field_of(name, frame) for frame, weight in frames)
+                ).astype(np.float32)
+                for name in self.fields
+            }
+            steps = moment.station - begins[moment.leg]
+            positions = playback.positions(moment)
+            close = partial(playback.closed, moment) if moment.closing else None
+            yield self._drawn(number, positions, fields, moment.leg, steps, close)
+        self.watch(len(playback.moments), len(playback.moments))
+
     def _snapshot(self, frame: int) -> Snapshot:
-        positions = self.trajectory.positions(frame)
-        fields = {name: self.field(name, frame) for name in self.fields}
-        transform = self.transform(frame)
+        trajectory = self.trajectory
+        return self._drawn(
+            frame,
+            trajectory.positions(frame),
+            {name: self.field(name, frame) for name in self.fields},
+            trajectory.leg_of(frame),
+            trajectory.frame_in_leg(frame) + 1,
+        )
+
+    def _drawn(
+        self,
+        number: int,
+        positions: npt.NDArray[np.floating],
+        fields: dict[str, Values],
+        leg: int,
+        steps: float,
+        close: Closing | None = None,
+    ) -> Snapshot:
+        """What is exported of particles so many frames after the beginning of a leg."""
+        trajectory = self.trajectory
+        share = steps / trajectory.planned_frames_of(leg)
+        transform = trajectory.run.transform_to(self.units, share, leg)
         apart = self._spacing * float(np.cbrt(np.linalg.det(transform[:3, :3])))
         if not self.surface:
-            return Snapshot(frame, self.placed(positions, frame), None, fields, apart)
-        spacing = self.trajectory.run.spacing_of(positions)
+            colors = self._particle_colors(leg, share, close)
+            return Snapshot(number, _moved(positions, transform), None, fields, apart, colors)
+        spacing = trajectory.run.spacing_of(positions)
         found = reconstruct_surface(positions, spacing)
         if self.snap:
-            found = self.drawn_to_ends(found, frame, spacing)
+            found = self._drawn_to_ends(found, leg, steps, spacing)
         if fields:
             finite = np.isfinite(positions).all(axis=1)
             _, nearest = cKDTree(positions[finite]).query(found.vertices, workers=-1)
             fields = {name: values[finite][nearest] for name, values in fields.items()}
-        return Snapshot(frame, self.placed(found.vertices, frame), found.faces, fields, apart)
+        colors = None
+        if trajectory.colors is not None:
+            colors = self._passage(positions, leg, share, close).colors_at(found.vertices, spacing)
+        placed = _moved(found.vertices, transform)
+        return Snapshot(number, placed, found.faces, fields, apart, colors)
+
+    def surface_colors(
+        self, vertices: Positions, frame: int, spacing: float
+    ) -> npt.NDArray[np.uint8] | None:
+        """Colours of a surface in a frame, sRGB, shape [v, 3], uint8; None without any.
+
+        Args:
+            vertices: Its corners [dx], shape [v, 3].
+            frame: Index of the frame.
+            spacing: Lattice spacing h of the particles there [dx].
+        """
+        trajectory = self.trajectory
+        if trajectory.colors is None:
+            return None
+        passage = self._passage(trajectory.positions(frame), *self._progress(frame), None)
+        return passage.colors_at(vertices, spacing)
+
+    def particle_colors(self, frame: int) -> npt.NDArray[np.uint8] | None:
+        """Colours of the particles in a frame, sRGB, shape [n, 3], uint8; None without any."""
+        leg, share = self._progress(frame)
+        return self._particle_colors(leg, share, None)
+
+    def _progress(self, frame: int) -> tuple[int, float]:
+        """The leg of a frame, and the share of it that is done then."""
+        trajectory = self.trajectory
+        leg = trajectory.leg_of(frame)
+        return leg, (trajectory.frame_in_leg(frame) + 1) / trajectory.planned_frames_of(leg)
+
+    def _particle_colors(
+        self, leg: int, share: float, close: Closing | None
+    ) -> npt.NDArray[np.uint8] | None:
+        if self.trajectory.colors is None:
+            return None
+        light = srgb.from_bytes(self.trajectory.colors)
+        end = close(light[leg + 1], light[0]) if close else light[leg + 1]
+        return srgb.to_bytes(blended(light[leg], end, share))
+
+    def _passage(
+        self,
+        positions: npt.NDArray[np.floating],
+        leg: int,
+        share: float,
+        close: Closing | None,
+    ) -> Passage:
+        trajectory = self.trajectory
+        begin, end = (trajectory.positions_in_shape(stop) for stop in (leg, leg + 1))
+        ahead = close(end, trajectory.run.source_points) if close else end
+        return Passage(trajectory.run, leg, share, positions, begin, ahead)
 
     def drawn_to_ends(self, surface: Surface, frame: int, spacing: float) -> Surface:
         """A frame's surface drawn to the mesh of the end that it is near to, if there is one."""
         trajectory = self.trajectory
-        complete = trajectory.status == "complete"
-        count = trajectory.planned_frame_count
-        frames_from: dict[Role, int] = {"source": frame + 1}
-        if complete:  # else the target has not been reached
-            frames_from["target"] = count - 1 - frame
+        steps = trajectory.frame_in_leg(frame) + 1
+        return self._drawn_to_ends(surface, trajectory.leg_of(frame), steps, spacing)
+
+    def _drawn_to_ends(self, surface: Surface, leg: int, steps: float, spacing: float) -> Surface:
+        trajectory = self.trajectory
+        count = trajectory.planned_frames_of(leg)
+        frames_from: dict[Role, float] = {"source": steps}
+        if trajectory.is_finished(leg):
+            frames_from["target"] = count - steps
         for role, frames in frames_from.items():
             share = 1 - frames / (ENDS * count)
-            mesh, _ = trajectory.run.fitted(role)
+            mesh, _ = trajectory.run.leg(leg).fitted(role)
             if share > 0 and mesh is not None:
                 surface = snapped_to(surface, mesh, share, spacing)
         return surface

@@ -11,6 +11,7 @@ checkpoint. The checkpoint decides where a run continues: frames beyond it are c
 
 from __future__ import annotations
 
+import bisect
 import json
 import shutil
 import zipfile
@@ -37,6 +38,23 @@ _JSON = "__json__"
 def spool_path(result_path: str | Path) -> Path:
     """The run directory that belongs to a result file."""
     return Path(f"{result_path}.spool")
+
+
+def checkpoint_path(result_path: str | Path) -> Path:
+    """The last checkpoint of the run that belongs to a result file."""
+    return spool_path(result_path) / _CHECKPOINT
+
+
+def keep_checkpoint(result_path: str | Path, path: Path) -> None:
+    """Copy the last checkpoint of a run to where no later one replaces it.
+
+    Raises:
+        ResultError: There is none, or the disk refuses.
+    """
+    with _writing(path):
+        path.parent.mkdir(exist_ok=True)
+        with replacing(path) as temporary:
+            shutil.copyfile(checkpoint_path(result_path), temporary)
 
 
 def finished_frames(result_path: str | Path) -> int:
@@ -110,13 +128,56 @@ class SpoolReader:
         with _stored(self._frame_path(frame)) as arrays:
             return arrays.get("det_f")
 
+    def leg_of(self, frame: int) -> int:
+        """Index of the leg that a finished frame belongs to.
+
+        Raises:
+            ResultError: The frame is missing or damaged.
+        """
+        if self.run.leg_count == 1:
+            return 0
+        with _stored(self._frame_path(frame)) as arrays:
+            return int(_decode(arrays[_JSON])["leg"])
+
+    def frame_in_leg(self, frame: int) -> int:
+        """Index of a finished frame in its leg, from 0.
+
+        Raises:
+            ResultError: A frame is missing or damaged.
+        """
+        return frame - bisect.bisect_left(range(frame), self.leg_of(frame), key=self.leg_of)
+
+    def planned_frames_of(self, leg: int) -> int:
+        """Number of frames until the target of a leg is reached; one that was stopped has fewer.
+
+        Raises:
+            ResultError: A frame is missing or damaged.
+        """
+        frames = range(self.frame_count)
+        begin, end = (bisect.bisect_left(frames, k, key=self.leg_of) for k in (leg, leg + 1))
+        return end - begin if end < self.frame_count else self.run.config.frames
+
+    def positions_in_shape(self, stop: int) -> NDArray[np.float32]:
+        """Positions of the particles in a shape of the run, 0 for the source [dx], shape [n, 3].
+
+        That is the last frame of the leg that leads to it, also where the leg has not ended.
+
+        Raises:
+            ResultError: A frame is missing or damaged.
+        """
+        if stop == 0:
+            return self.run.source_points
+        frames = range(self.frame_count)
+        return self.positions(bisect.bisect_left(frames, stop, key=self.leg_of) - 1)
+
     def transform_at(self, frame: int, units: Units = "user") -> NDArray[np.float64]:
         """Grid units to other units in one frame, shape [4, 4], float64; acts on columns.
 
         Raises:
             ResultError: As `run`.
         """
-        return self.run.transform_to(units, (frame + 1) / self.run.config.frames)
+        share = (self.frame_in_leg(frame) + 1) / self.run.config.frames
+        return self.run.transform_to(units, share, self.leg_of(frame))
 
     def _frame_path(self, frame: int) -> Path:
         return self.path / f"frame-{frame:06d}.npz"
@@ -197,6 +258,11 @@ class Spool(SpoolReader):
         """Events of all finished frames, in order."""
         return [event for notes in self._notes for event in notes["events"]]
 
+    def leg_of(self, frame: int) -> int:
+        """As of `SpoolReader`."""
+        leg: int = self._notes[frame].get("leg", 0)
+        return leg
+
     def metrics(self, frame: int) -> dict[str, float]:
         """Metrics of a finished frame by name; units as the metrics module defines them."""
         return dict(self._notes[frame]["metrics"])
@@ -216,6 +282,7 @@ class Spool(SpoolReader):
         metrics: Mapping[str, float],
         events: Sequence[Mapping[str, Any]] = (),
         det_f: NDArray[np.float32] | None = None,
+        leg: int = 0,
     ) -> None:
         """Add the next frame; when this returns, no crash can take it away.
 
@@ -225,6 +292,7 @@ class Spool(SpoolReader):
             metrics: Metrics by name; a frame may lack some.
             events: JSON objects with frame, kind, message and data.
             det_f: det F of each particle [ratio], shape [n], float32, where the method has it.
+            leg: Index of the leg that it belongs to.
 
         Raises:
             ResultError: The disk refuses.
@@ -240,6 +308,8 @@ class Spool(SpoolReader):
             "metrics": {name: float(value) for name, value in metrics.items()},
             "events": list(events),
         }
+        if self.run.leg_count > 1:
+            notes["leg"] = leg
         encoded = _encode(notes)
         arrays: dict[str, NDArray[Any]] = {
             _JSON: encoded,
@@ -273,13 +343,8 @@ class Spool(SpoolReader):
         Raises:
             ResultError: It is damaged.
         """
-        path = self.path / _CHECKPOINT
-        if not path.exists():
-            return None
-        arrays = _load_arrays(path)
-        with _reading(path):
-            state = _decode(arrays.pop(_JSON))
-            return Checkpoint(state["frame"], arrays, state["scalars"])
+        path = checkpoint_path(self.result_path)
+        return read_checkpoint(path) if path.exists() else None
 
     def truncate_after(self, frame: int) -> None:
         """Forget all frames beyond one (-1: all), before the run goes on from its checkpoint.
@@ -324,6 +389,18 @@ class Spool(SpoolReader):
             with _stored(path) as arrays:
                 notes.append(_decode(arrays[_JSON]))
         return notes
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint.
+
+    Raises:
+        ResultError: It is absent or damaged.
+    """
+    arrays = _load_arrays(path)
+    with _reading(path):
+        state = _decode(arrays.pop(_JSON))
+        return Checkpoint(state["frame"], arrays, state["scalars"])
 
 
 def _read_run(path: Path) -> RunRecord:

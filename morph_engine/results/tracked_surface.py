@@ -44,12 +44,14 @@ class TrackedMesh:
         vertices: Corner positions by frame [units of the selection], shape [T, V, 3], float64.
         normals: Unit normals by frame, shape [T, V, 3], float64.
         faces: Vertex indices of the triangles in all frames, shape [F, 3], int32.
+        colors: Colours by frame, sRGB, shape [T, V, 3], uint8; None where the shapes have none.
     """
 
     frames: tuple[int, ...]
     vertices: Floats
     normals: Floats
     faces: npt.NDArray[np.int32]
+    colors: npt.NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +200,19 @@ def _placed(
     selection: Selection, track: _Track, chosen: Sequence[int], first: int, spacings: list[float]
 ) -> TrackedMesh:
     """Some frames of a track in the units of the selection, drawn to the meshes if asked."""
-    shapes = []
+    shapes, colors = [], []
     for k in chosen:
         shape = Surface(track.vertices[k], track.faces)
         if selection.snap:
             shape = selection.drawn_to_ends(shape, first + k, spacings[k])
         shapes.append(selection.placed(shape.vertices, first + k))
+        colors.append(selection.surface_colors(shape.vertices, first + k, spacings[k]))
     vertices = np.stack(shapes)
     normals = np.stack([vertex_normals(frame, track.faces) for frame in vertices])
-    return TrackedMesh(tuple(first + k for k in chosen), vertices, normals, track.faces)
+    return TrackedMesh(
+        tuple(first + k for k in chosen),
+        vertices,
+        normals,
+        track.faces,
+        np.stack([c for c in colors if c is not None]) if colors[0] is not None else None,
+    )

@@ -2,8 +2,9 @@
 
 `/VTKHDF` is temporal PolyData as VTK >= 9.3 reads it: one step per frame, one vertex per particle,
 det F as point data where the method has it, the metrics as field data. `/morph` holds the run
-record, the events and the status. Every array is stored with a checksum in chunks, a frame per
-chunk: a flipped bit costs one frame and is noticed.
+record, the events, the status and, where a shape has colours, those of the particles. Every array
+is stored with a checksum in chunks, a frame per chunk: a flipped bit costs one frame and is
+noticed.
 """
 
 from __future__ import annotations
@@ -137,12 +138,27 @@ def _write_morph(root: h5py.Group, spool: Spool, status: Status) -> None:
     root.attrs["format"] = _FORMAT
     _store_json(root, "status", status)
     _store_json(root, "events", spool.events)
+    if spool.run.leg_count > 1:
+        _store(root, "legs", np.array([spool.leg_of(frame) for frame in range(spool.frame_count)]))
+    _write_colors(root, spool)
     run = root.create_group("run")
     for key, value in spool.run.document().items():
         _store_json(run, key, value)
     arrays = root.create_group("arrays")
     for name, array in spool.run.arrays().items():
         _store(arrays, name, array)
+
+
+def _write_colors(root: h5py.Group, spool: Spool) -> None:
+    if not spool.run.colored:
+        return
+    from morph_engine.results.colors import particle_colors
+
+    colors = particle_colors(spool)
+    if colors is not None:
+        _store(root, "colors", colors)
+        root["colors"].attrs["space"] = "sRGB"
+        root["colors"].attrs["axes"] = "shape, particle, channel"
 
 
 def _store(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
@@ -291,6 +307,23 @@ class Trajectory:
             arrays = {name: array[:] for name, array in morph["arrays"].items()}
             return RunRecord.restore(document, arrays)
 
+    @cached_property
+    def colors(self) -> NDArray[np.uint8] | None:
+        """Colours of the particles in each shape of the run, sRGB, shape [stops, n, 3], uint8.
+
+        None where no shape has colours. `results.colors` tells how they are blended; of a run that
+        was stopped, the last frame stands for the shape that it was to reach.
+
+        Raises:
+            ResultError: The checksum fails.
+        """
+        with _reading(self.path):
+            stored = self._file.get("morph/colors")
+            if stored is None:
+                return None
+            colors: NDArray[np.uint8] = stored[:]
+            return colors
+
     @property
     def config(self) -> MorphConfig:
         """Resolved configuration of the run."""
@@ -316,10 +349,55 @@ class Trajectory:
         """Grid units to the target's coordinates, shape [4, 4], float64; acts on columns."""
         return self.run.transform
 
-    @property
-    def planned_frame_count(self) -> int:
-        """Number of frames until the target is reached; a run that was stopped has fewer."""
-        return self.frame_count if self.status == "complete" else self.config.frames
+    @cached_property
+    def legs(self) -> NDArray[np.int64]:
+        """Index of the leg that each frame belongs to, shape [T], int64.
+
+        Raises:
+            ResultError: The checksum fails.
+        """
+        with _reading(self.path):
+            stored = self._file.get("morph/legs")
+            if stored is None:
+                return np.zeros(self.frame_count, np.int64)
+            legs: NDArray[np.int64] = stored[:]
+            return legs
+
+    def leg_of(self, frame: int) -> int:
+        """Index of the leg that a frame belongs to.
+
+        Raises:
+            ResultError: There is no such frame.
+        """
+        return int(self.legs[self.index(frame)])
+
+    def frame_in_leg(self, frame: int) -> int:
+        """Index of a frame in its leg, from 0.
+
+        Raises:
+            ResultError: There is no such frame.
+        """
+        return self.index(frame) - int(np.searchsorted(self.legs, self.leg_of(frame)))
+
+    def is_finished(self, leg: int) -> bool:
+        """Whether a leg has reached its target."""
+        return self.status == "complete" or bool((self.legs > leg).any())
+
+    def positions_in_shape(self, stop: int) -> NDArray[np.float32]:
+        """Positions of the particles in a shape of the run, 0 for the source [dx], shape [n, 3].
+
+        That is the last frame of the leg that leads to it, also where the leg has not ended.
+
+        Raises:
+            ResultError: The frame is damaged.
+        """
+        if stop == 0:
+            return self.run.source_points
+        return self.positions(int(np.searchsorted(self.legs, stop)) - 1)
+
+    def planned_frames_of(self, leg: int) -> int:
+        """Number of frames until the target of a leg is reached; one that was stopped has fewer."""
+        return int((self.legs == leg).sum()) if self.is_finished(leg) else self.config.frames
 
     def transform_at(self, frame: int, units: Units = "user") -> NDArray[np.float64]:
         """Grid units to other units in one frame, shape [4, 4], float64; acts on columns.
@@ -327,8 +405,9 @@ class Trajectory:
         Raises:
             ResultError: There is no such frame.
         """
-        share = (self.index(frame) + 1) / self.planned_frame_count
-        return self.run.transform_to(units, share)
+        leg = self.leg_of(frame)
+        share = (self.frame_in_leg(frame) + 1) / self.planned_frames_of(leg)
+        return self.run.transform_to(units, share, leg)
 
     @property
     def software(self) -> dict[str, str]:

@@ -13,6 +13,7 @@ from morph_engine.code_digest import code_digest
 from morph_engine.config import MorphConfig
 from morph_engine.cost import estimate
 from morph_engine.presets import configure
+from morph_engine.sections import PlacementConfig
 
 CONTROLLED_METHODS = ("physics", "joint")
 """Methods whose matter is controlled by gradients, the only ones with a quick variant: `transport`
@@ -66,13 +67,17 @@ class Run(BaseModel, frozen=True, extra="forbid"):
     def digest(self, meshes: MeshFolder) -> str:
         """SHA-256 of everything that determines the result: configuration and both shapes.
 
-        The preset's name is left out.
+        The preset's name is left out, and so is a placement that asks for nothing.
 
         Raises:
             MorphError: A mesh is missing, or as `config`.
         """
+        config = self.config()
+        left_out = {"preset"}
+        if config.placement == PlacementConfig():
+            left_out.add("placement")
         inputs = {
-            "config": self.config().model_dump(mode="json", exclude={"preset"}),
+            "config": config.model_dump(mode="json", exclude=left_out),
             "shapes": [meshes.digest(name) for name in self.shapes],
         }
         return digest(inputs)

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from chamfer_morph.schemas import Key, Scope
 from chamfer_morph.server.database.tables import KeyRow, as_time, insert, now
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 PREFIX = "morph_"
 SCOPE_ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
@@ -71,7 +72,8 @@ class ApiKeyStore:
         return (_key(row), secret) if insert(self._engine, row) else None
 
     def remove(self, name: str) -> bool:
-        """Revoke a key; False if there is none of that name."""
+        """Revoke a key and delete its webhooks; False if there is none of that name."""
+        Webhooks(self._engine).remove_of(name)
         with self._engine.begin() as connection:
             return bool(connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount)
 

@@ -13,6 +13,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, Session, mapped_column
 
 from chamfer_morph.worker.tables import create_missing
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 
 class Row(MappedAsDataclass, DeclarativeBase):
@@ -72,6 +73,7 @@ class ReservationRow(Row):
 def create(engine: sa.Engine) -> None:
     """Create what is missing; harmless to repeat, and to do from two processes at once."""
     create_missing(engine, *Row.metadata.sorted_tables)
+    Webhooks.create_tables(engine)
 
 
 def insert(engine: sa.Engine, row: Row) -> bool:

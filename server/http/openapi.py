@@ -10,10 +10,12 @@ from pydantic.json_schema import models_json_schema
 
 from chamfer_morph.schemas import (
     ExportRequest,
+    ForkRequest,
     JobRequest,
     KeyRequest,
     ProblemDocument,
     SweepRequest,
+    WebhookRequest,
     ids,
 )
 from chamfer_morph.server.http.problems import MEDIA_TYPE, PROBLEM_TYPES, ProblemError
@@ -21,7 +23,15 @@ from morph_engine import methods, presets
 from morph_engine.geometry import shapes
 from morph_engine.geometry.shapes import TEXT_LIMIT, TEXT_PREFIX
 
-MODELS = (ExportRequest, JobRequest, KeyRequest, ProblemDocument, SweepRequest)
+MODELS = (
+    ExportRequest,
+    ForkRequest,
+    JobRequest,
+    KeyRequest,
+    ProblemDocument,
+    SweepRequest,
+    WebhookRequest,
+)
 """Those that FastAPI does not find, or of which it does not tell that a default is null."""
 
 BODY_ERRORS = (400, 408, 409, 413, 415, 422, 429)
@@ -32,6 +42,7 @@ PATH_SCHEMAS: dict[str, dict[str, Any]] = {
     "job_id": JOB_ID,
     "sweep_id": JOB_ID,
     "export_id": JOB_ID,
+    "webhook_id": JOB_ID,
     "mesh_id": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
     "worker_id": {"type": "string", "pattern": "^[A-Za-z0-9.-]+$"},
     "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"},
@@ -55,7 +66,7 @@ HEADERS: dict[str, dict[str, Any]] = {
 
 MADE_BY = {
     "mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep",
-    "export_id": "exportJob",
+    "export_id": "exportJob", "webhook_id": "makeWebhook",
 }  # fmt: skip
 """The operation that makes the thing of an id."""
 

@@ -44,6 +44,8 @@ MEDIA_TYPES = (
     "text/csv",
     "text/html",
     "video/mp4",
+    "video/quicktime",
+    "video/webm",
 )
 """What `morph_engine.export.FORMATS` names, which takes a second to import."""
 
@@ -197,13 +199,6 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     """
     from morph_engine.export import check
 
-    check(
-        request.format,
-        surface=request.surface,
-        snap=request.snap,
-        tracked=request.tracked,
-        fields=request.fields,
-    )
     count = count_frames(result)
     for frame in request.frames or ():
         if not -count <= frame < count:
@@ -217,7 +212,17 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     name = file_stem(job)
     if frames and len(frames) == 1:
         name += f"-{frames[0]}"
-    return ExportOptions(id=derived_id(f"export\0{digest}"), name=name, **content)
+    options = ExportOptions(id=derived_id(f"export\0{digest}"), name=name, **content)
+    check(
+        options.format,
+        surface=options.surface,
+        snap=options.snap,
+        tracked=options.tracked,
+        fields=options.fields,
+        frames=options.frames,
+        timing=options.timing,
+    )
+    return options
 
 
 def _show(

@@ -136,7 +136,7 @@ def _compute(
         positions=frame.positions,
         previous=before.positions if before else None,
         source=run.source_points,
-        target=run.target_points,
+        target=run.target_points_of(frame.leg),
         det_f=det_f,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from functools import partial
@@ -26,6 +27,9 @@ _LOG = logging.getLogger(__name__)
 
 LAST_FILES = timedelta(minutes=1)
 """How long after its end the last files of a job may come; a stopped engine takes a moment."""
+
+AWAY_SECONDS = 60.0
+"""How long an object store that has not answered is not asked for events again."""
 
 
 def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
@@ -54,12 +58,15 @@ def fetch(job: JobRecord, context: ServerContext, *, log_only: bool = False) -> 
 
 def fetch_logs(jobs: Sequence[JobRecord], context: ServerContext) -> None:
     """See to it that the events of jobs are here; where the object store does not answer, those
-    that are here already have to do.
+    that are here already have to do, and it is not asked again for a while: that may take long.
     """  # noqa: D205
+    if time.monotonic() < context.store_is_away_until:
+        return
     try:
         for job in jobs:
             fetch(job, context, log_only=True)
     except StoreUnavailableError:
+        context.store_is_away_until = time.monotonic() + AWAY_SECONDS
         _LOG.warning("the object store does not answer; the progress of jobs may be old")
 
 

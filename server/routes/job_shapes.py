@@ -15,7 +15,7 @@ from chamfer_morph.server.http.conditional import binary_responses, bytes_respon
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
 from chamfer_morph.worker.queue import JobRecord
-from morph_engine.results.run_record import Role
+from morph_engine.results.run_record import Role, RunRecord
 
 router: APIRouter = APIRouter(
     prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
@@ -24,6 +24,13 @@ router: APIRouter = APIRouter(
 GLB = "model/gltf-binary"
 
 PointFormat = Annotated[FrameFormat, Query(description="How to encode the positions.")]
+Leg = Annotated[
+    int | None,
+    Query(
+        description="Of a morph through several shapes: the leg, from 0, whose shape is wanted. By "
+        "default the first source and the last target."
+    ),
+]
 MeshFormat = Annotated[Literal["glb", "ply"], Query(description="Of the file.")]
 
 
@@ -46,9 +53,13 @@ def _add_routes(role: Role, summary: str, description: str, points: str) -> None
         responses=array_encoding.array_responses(points),
     )
     async def get_points(
-        job: VisibleJob, request: Request, context: Context, format: PointFormat = "f32"
+        job: VisibleJob,
+        request: Request,
+        context: Context,
+        format: PointFormat = "f32",
+        leg: Leg = None,
     ) -> Response:
-        return await context.compute(_points, role, job, request, context, format)
+        return await context.compute(_points, role, job, request, context, format, leg)
 
     @router.get(
         f"/{role}/mesh",
@@ -59,9 +70,13 @@ def _add_routes(role: Role, summary: str, description: str, points: str) -> None
         responses=binary_responses("The mesh in grid units.", (GLB, array_encoding.PLY)),
     )
     async def get_mesh(
-        job: VisibleJob, request: Request, context: Context, format: MeshFormat = "glb"
+        job: VisibleJob,
+        request: Request,
+        context: Context,
+        format: MeshFormat = "glb",
+        leg: Leg = None,
     ) -> Response:
-        return await context.compute(_mesh, role, job, request, context, format)
+        return await context.compute(_mesh, role, job, request, context, format, leg)
 
 
 _add_routes(
@@ -79,9 +94,14 @@ _add_routes(
 
 
 def _points(
-    role: Role, job: JobRecord, request: Request, context: ServerContext, format: FrameFormat
+    role: Role,
+    job: JobRecord,
+    request: Request,
+    context: ServerContext,
+    format: FrameFormat,
+    leg: int | None,
 ) -> Response:
-    run = find_run_record(job, context)
+    run = _find_leg(job, context, leg)
     positions = run.source_points if role == "source" else run.target_points
     extent = job.spec.config.grid.half_extent
     return array_encoding.array_response(request, positions, format, extent)
@@ -93,13 +113,30 @@ def _mesh(
     request: Request,
     context: ServerContext,
     format: Literal["glb", "ply"],
+    leg: int | None,
 ) -> Response:
     import trimesh
 
-    mesh, _ = find_run_record(job, context).fitted(role)
+    mesh, _ = _find_leg(job, context, leg).fitted(role)
     if mesh is None:
         raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
     file = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file, file_type=format)
     media_type = GLB if format == "glb" else array_encoding.PLY
     return bytes_response(request, file.getvalue(), media_type)
+
+
+def _find_leg(job: JobRecord, context: ServerContext, leg: int | None) -> RunRecord:
+    """The run of a job, or a leg of it.
+
+    Raises:
+        ProblemError: 404, it has no such leg.
+    """
+    run = find_run_record(job, context)
+    if leg is None:
+        return run
+    if not 0 <= leg < run.leg_count:
+        raise ProblemError(
+            404, f"The job has no leg {leg}.", f"Its {run.leg_count} legs count from 0."
+        )
+    return run.leg(leg)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from chamfer_morph.schemas import Job, JobState, Progress
+from chamfer_morph.schemas.jobs import JobPlacement
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.worker.progress import JobProgress, read_progress
 from chamfer_morph.worker.queue import RECORD_CACHE_SIZE, JobRecord
@@ -15,10 +17,26 @@ from chamfer_morph.worker.queue import RECORD_CACHE_SIZE, JobRecord
 
 def file_stem(record: JobRecord) -> str:
     """What to call files of a job, as `morph run` would: sphere-to-bunny."""
-    ends = [str(record.attributes.get(f"{role}_name", role)) for role in ("source", "target")]
-    plain = [re.sub(r"\W+", "-", Path(end).stem, flags=re.ASCII).strip("-") for end in ends]
+    names = [
+        str(record.attributes.get("source_name", "source")),
+        *_via_names(record),
+        str(record.attributes.get("target_name", "target")),
+    ]
+    plain = [re.sub(r"\W+", "-", Path(name).stem, flags=re.ASCII).strip("-") for name in names]
+    stem = "-to-".join(name or "shape" for name in plain)
     partial = "" if record.state is JobState.SUCCEEDED else "-partial"
-    return f"{plain[0] or 'shape'}-to-{plain[1] or 'shape'}{partial}"
+    return f"{stem}{partial}"
+
+
+def _via_names(record: JobRecord) -> list[str]:
+    names: list[str] = json.loads(str(record.attributes.get("via_names", "[]")))
+    return names
+
+
+def placement_of(record: JobRecord) -> JobPlacement | None:
+    """Where a job puts its shapes; None for one that an older version has queued."""
+    stored = record.attributes.get("placement")
+    return JobPlacement.model_validate_json(str(stored)) if stored else None
 
 
 class _JobSnapshot(NamedTuple):
@@ -62,9 +80,12 @@ def _to_job(snapshot: _JobSnapshot) -> Job:
         name=record.name,
         state=record.state,
         source=record.spec.source,
+        via=list(record.spec.via),
         target=record.spec.target,
         source_name=str(record.attributes.get("source_name", "")),
+        via_names=_via_names(record),
         target_name=str(record.attributes.get("target_name", "")),
+        placement=placement_of(record),
         method=config.method.name,
         preset=str(record.attributes.get("preset", config.preset)),
         seed=config.seed,
@@ -84,10 +105,19 @@ def _to_job(snapshot: _JobSnapshot) -> Job:
             stage=progress.stage if record.state is JobState.RUNNING else None,
         ),
         queue_position=snapshot.position,
+        forked_from=record.spec.fork,
+        reused_from=_reused_from(record),
         paused=record.paused,
         outcome=record.outcome,
         problem=record.problem,
     )
+
+
+def _reused_from(record: JobRecord) -> str | None:
+    """The job whose result it has; one that a worker has computed since has its own."""
+    if record.state is not JobState.SUCCEEDED or record.executor is not None:
+        return None
+    return record.attributes.get("reused_from")
 
 
 def _seconds_left(snapshot: _JobSnapshot) -> float | None:

@@ -1,4 +1,4 @@
-"""/v1/jobs: submit, list, show, put first, cancel, resume, retry, delete."""
+"""/v1/jobs: submit, list, show, put first, cancel, resume, retry, fork, delete."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from contextlib import AsyncExitStack, nullcontext
 from typing import Annotated, Any
 
 import anyio
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Body, Header, Query, Request, Response
+from fastapi.openapi.models import Example
 from starlette.datastructures import UploadFile
 
-from chamfer_morph.schemas import Job, JobPage, JobRequest, JobState, MeshShape
+from chamfer_morph.schemas import ForkRequest, Job, JobPage, JobRequest, JobState, MeshShape
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.forking import fork
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError, too_large
 from chamfer_morph.server.http.request_body import load_json, media_type, read_json, validate
@@ -24,7 +26,13 @@ from chamfer_morph.server.http.uploads import (
     receive_form,
     save_upload,
 )
-from chamfer_morph.server.routes.job_lookup import VisibleJob, check_allowed, fetch_logs, find_job
+from chamfer_morph.server.routes.job_lookup import (
+    VisibleJob,
+    check_allowed,
+    fetch,
+    fetch_logs,
+    find_job,
+)
 from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
@@ -52,6 +60,13 @@ EXAMPLES: dict[str, Any] = {
             "name": "a first look",
         },
     },
+}
+
+FORK_EXAMPLES: dict[str, Example] = {
+    "stiffer": {
+        "summary": "Stiffer from frame 1 on",
+        "value": {"frame": 1, "overrides": {"material.youngs_modulus": 200000}},
+    }
 }
 
 # JSON or a form, and the files of a form are streamed: FastAPI has no parameter for either
@@ -205,10 +220,47 @@ def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     return to_job(find_job(job.id, caller, context), context)
 
 
+@router.post(
+    "/{job_id}/fork",
+    status_code=202,
+    operation_id="forkJob",
+    summary="Fork a job",
+    responses={
+        200: {"model": Job, "description": "This Idempotency-Key has made this job before."}
+    },
+)
+async def fork_job(
+    caller: Submitter,
+    job: VisibleJob,
+    context: Context,
+    body: Annotated[ForkRequest, Body(openapi_examples=FORK_EXAMPLES)],
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> Job:
+    """Queue a job that has the first frames of this one, and goes on with other settings.
+
+    It begins with the full state after the last of these frames. The last state of all is there
+    until the job has succeeded, others where it was submitted with `states_every`. With the same
+    settings its positions are those of this job to the last bit, on a CPU.
+    """
+    await anyio.to_thread.run_sync(fetch, job, context)
+    record, new = await context.compute(fork, job, body, idempotency_key, caller, context)
+    response.status_code = 202 if new else 200
+    response.headers["Location"] = f"/v1/jobs/{record.id}"
+    response.headers["Retry-After"] = RETRY_AFTER
+    return await anyio.to_thread.run_sync(to_job, record, context)
+
+
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
 def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Compute a finished job again from the beginning; what it left is deleted."""
     check_allowed(job, "retry")
+    if job.spec.fork:
+        raise ProblemError(
+            409,
+            "A fork cannot begin anew: its first frames are another job's.",
+            f"Fork job {job.spec.fork.job} again.",
+        )
     _check_shapes(job, context)
     with context.quotas.letting_in_jobs(job.owner):
         context.cancel_computations(job.id)
@@ -275,7 +327,7 @@ async def _text(part: UploadFile | str, max_bytes: int) -> bytes | str:
 
 
 def _check_shapes(job: JobRecord, context: ServerContext) -> None:
-    for shape in (job.spec.source, job.spec.target):
+    for shape in job.spec.shapes:
         if isinstance(shape, MeshShape) and context.storage.mesh_file(shape.mesh) is None:
             raise ProblemError(
                 409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."

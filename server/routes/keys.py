@@ -55,7 +55,7 @@ def make_key(
 
 @router.delete("/{name}", status_code=204, operation_id="revokeKey", summary="Revoke a key")
 def revoke_key(name: str, caller: Admin, context: Context) -> None:
-    """From now on the key is worth nothing; its jobs and meshes stay."""
+    """From now on the key is worth nothing; its jobs and meshes stay, its webhooks go."""
     keys = {key.name: key for key in context.api_keys.all()}
     if name not in keys:
         raise not_found("key", name)

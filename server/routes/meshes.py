@@ -276,5 +276,5 @@ def _unfinished_users(mesh_id: str, context: ServerContext) -> list[tuple[str, s
     return [
         (record.id, record.owner)
         for record in context.queue.all(states={JobState.QUEUED, JobState.RUNNING})
-        if shape in (record.spec.source, record.spec.target)
+        if shape in record.spec.shapes
     ]

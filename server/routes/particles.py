@@ -10,7 +10,7 @@ from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, Json
 
 from chamfer_morph.schemas import BuiltInShape, Fit, FrameFormat, MeshShape
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader
@@ -22,7 +22,7 @@ from chamfer_morph.server.routes import meshes
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.sandbox.computations import OtherEnd
 from morph_engine.results.run_record import Role
-from morph_engine.sections import GridConfig
+from morph_engine.sections import GridConfig, PlacementConfig
 
 router: APIRouter = APIRouter(route_class=AuthenticatedRoute)
 
@@ -37,6 +37,12 @@ RESPONSES = array_encoding.array_responses(
         "Morph-Count": ("integer", "Number of particles."),
         "Morph-Warnings": ("string", "What to know of the shape: a JSON list of sentences."),
         "Morph-Placement": ("string", "What `auto` does to both shapes, a sentence; or nothing."),
+        "Morph-Turning": ("string", "Which shapes are turned to stand upright; or nothing."),
+        "Morph-Up": ("string", "The axis of the grid that points upwards: y or z."),
+        "Morph-To-User": (
+            "string",
+            "Grid units to the shape's own coordinates: a JSON list of four rows; acts on columns.",
+        ),
     },
 )
 
@@ -53,6 +59,11 @@ class Sampling(BaseModel):
     )
     target: Address | None = Field(
         None, description="What it is to become, likewise; one of both at most."
+    )
+    placement: Json[PlacementConfig] = Field(
+        PlacementConfig(),
+        description="How both ends are turned, scaled and moved: the settings of `placement`, as "
+        'in {"target": {"rotate": [0, 90, 0]}}.',
     )
     format: FrameFormat = Field("u16", description="How to encode the positions.")
 
@@ -109,13 +120,17 @@ async def _particles(
 ) -> Response:
     other = await anyio.to_thread.run_sync(_other, sampling, caller, context)
     per_edge, fit = sampling.points_per_cell_edge, sampling.fit
-    compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit, other)
-    key = (shape, per_edge, fit, sampling.source, sampling.target)
+    poses = sampling.placement
+    compute = partial(context.sandbox.sample_shape, shape, name, per_edge, fit, other, poses)
+    key = (shape, per_edge, fit, sampling.source, sampling.target, poses)
     sample = await context.previews.get(key, compute, request, caller.name)
     headers = {
         "Morph-Count": str(len(sample.positions)),
         "Morph-Warnings": json.dumps(warnings),
-        "Morph-Placement": sample.placement,
+        "Morph-Placement": sample.message,
+        "Morph-Turning": sample.turning,
+        "Morph-Up": sample.up,
+        "Morph-To-User": json.dumps(sample.to_user),
     }
     return await anyio.to_thread.run_sync(
         array_encoding.array_response, request, sample.positions, sampling.format, EXTENT, headers

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import anyio
+import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
 from chamfer_morph.schemas import SurfaceFormat, Units
@@ -58,10 +59,12 @@ async def get_surface(
     """A closed and smooth mesh around the particles of a finished frame, also while the job runs.
 
     It is computed when it is first asked for, which takes seconds, and kept with the job. The
-    headers tell whether it is closed and how far it lies from the target mesh.
+    headers tell whether it is closed and how far it lies from the target mesh. Once the job has
+    ended, GLB, PLY and OBJ have the colours of the shapes, if these have any.
     """
     path = context.storage.surface_path(job.id, frame.index)
-    if not await anyio.Path(path).exists():
+    result = context.storage.result_path(job.id)
+    if not await anyio.to_thread.run_sync(StoredSurface.is_there, path, result):
         compute = partial(context.sandbox.reconstruct_surface, job.id, frame.index)
         await anyio.to_thread.run_sync(context.quotas.check_disk, job.owner)
         await context.surfaces.get((job.id, frame.index), compute, request, job.owner)
@@ -83,12 +86,22 @@ def _encode(
     """A surface that is there as a file, and headers that describe it."""
     import trimesh
 
+    from morph_engine.export import glb
+    from morph_engine.results.selection import Snapshot
+
     surface = StoredSurface.load(context.storage.surface_path(job.id, index))
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if units != "grid":
         mesh.apply_transform(read_transform(context.storage.result_path(job.id), index, units))
     file = io.BytesIO()
-    mesh.export(file, file_type=format, **({"include_normals": True} if format == "glb" else {}))
+    if format == "glb" and surface.colors is not None:
+        vertices = np.asarray(mesh.vertices)
+        file.write(glb.to_bytes(Snapshot(index, vertices, surface.faces, {}, 0.0, surface.colors)))
+    else:
+        if surface.colors is not None:
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=surface.colors)
+        normals = {"include_normals": True} if format == "glb" else {}
+        mesh.export(file, file_type=format, **normals)
     headers: dict[str, Any] = {
         "Morph-Frame": index,
         "Morph-Watertight": str(surface.report["watertight"]).lower(),

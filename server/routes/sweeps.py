@@ -21,10 +21,10 @@ from chamfer_morph.server.http.csv_table import csv_table
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
 from chamfer_morph.server.submission import (
-    body_digest,
     idempotency_conflict,
     idempotent_id,
     prepare,
+    request_digest,
     submit,
 )
 from chamfer_morph.worker.progress import read_progress
@@ -108,7 +108,7 @@ def _submit(
     count = math.prod(len(axis) for axis in axes)
     if count > JOBS:  # known before a single combination is made
         raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
-    digest = body_digest(request.model_dump(mode="json", exclude={"reuse"}))
+    digest = request_digest(request)
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
     before = context.sweeps.get(sweep_id)
     if before is not None and before.body != digest:

@@ -13,7 +13,8 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
-from chamfer_morph.worker.frame_reader import count_frames
+from chamfer_morph.server.routes.job_view import placement_of
+from chamfer_morph.worker.frame_reader import count_frames, read_colors
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
@@ -50,7 +51,11 @@ def _draw(path: Path, job: JobRecord, context: ServerContext) -> bytes:
 
     frame = find_frame(-1, job, context)
     spacing = job.spec.config.spacing
-    picture: bytes = thumbnail(frame.positions, spacing)
+    placement = placement_of(job)
+    colors = read_colors(context.storage.result_path(job.id))
+    own = colors.at(frame.index) if colors else None
+    up = placement.up if placement else "y"
+    picture: bytes = thumbnail(frame.positions, spacing, own, up)
     with suppress(OSError, ResultError):  # the disk is full, or the job has been deleted
         context.storage.make_derived_dirs(job.id)
         with replacing(path) as temporary:

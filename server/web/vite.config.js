@@ -11,6 +11,7 @@ export default defineConfig({
     target: "es2022",
     // An inlined script or style would break the Content-Security-Policy.
     assetsInlineLimit: 0,
+    license: { fileName: "licenses.txt" }, // of the libraries that are built in
     manifest: true, // tells the service what to announce with the document
     modulePreload: { polyfill: false },
     chunkSizeWarningLimit: 1000,

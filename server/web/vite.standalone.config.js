@@ -6,6 +6,7 @@ export default defineConfig({
     target: "es2022",
     outDir: "../../morph_engine/export/viewer",
     emptyOutDir: true,
+    license: { fileName: "licenses.txt" }, // which go along with the script
     lib: { entry: "src/standalone/standalone.js", name: "morph", formats: ["iife"], fileName: () => "viewer.js", cssFileName: "viewer" },
   },
 });

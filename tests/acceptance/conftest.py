@@ -32,6 +32,11 @@ PATIENCE = 600.0
 
 SPHERE = BuiltInShape(shape="sphere")
 
+POSTGRES_BY_FAULT_TESTS = pytest.mark.parametrize(
+    "database_url", ["sqlite", pytest.param("postgres", marks=pytest.mark.faults)], indirect=True
+)
+"""For tests whose way through Postgres is another's, too: there by `make test-faults` alone."""
+
 FRAMES = 30
 """Frames of a small job; each takes about a tenth of a second."""
 
@@ -78,7 +83,7 @@ class Cluster:
         *,
         frames: int = FRAMES,
         owner: str = "",
-        timeout: float = 300,
+        timeout: float = 86400,
         priority: int = 100,
         precision: str = "float32",
         source: Shape = SPHERE,
@@ -154,7 +159,8 @@ class Cluster:
 
     def require_sound(self, job_id: str, undisturbed: np.ndarray, *, kills: int = 1) -> None:
         """A succeeded job: its result equals an undisturbed one, and little was done twice."""
-        record = self.wait_for_state(job_id, JobState.SUCCEEDED, JobState.FAILED)
+        self.wait_until(lambda: self.job(job_id).state.finished, f"{job_id} has finished")
+        record = self.job(job_id)
         assert record.state is JobState.SUCCEEDED, record.problem
         self.storage.fetch(job_id)
         with Trajectory(self.storage.result_path(job_id)) as result:

@@ -31,7 +31,8 @@ def save(path, name, scale, centre, turn):
     """A built-in shape as a user's file: in other units, elsewhere, on another axis."""
     shape = make(name)
     vertices = (shape.vertices @ turn.T + centre) * scale
-    trimesh.Trimesh(vertices, shape.faces, process=False).export(path, digits=12)
+    more = {"digits": 12} if path.suffix == ".obj" else {}
+    trimesh.Trimesh(vertices, shape.faces, process=False).export(path, **more)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +68,33 @@ def test_a_mesh_of_any_size_runs_and_comes_back(tmp_path, scale, turn):
             np.testing.assert_allclose(points.max(axis=0), mesh.bounds[1], atol=2 * spacing)
         placed = result.positions_in_user_units(-1)
         np.testing.assert_allclose(exported["positions"][-1], placed, rtol=0, atol=1e-9 * size)
+
+
+def test_shapes_that_stand_on_different_axes_are_turned(tmp_path):
+    """A teapot that has z up, as STL does, to a heart with y up, as GLB does: no option is needed.
+
+    The run says that it turns the target, draws upright, and brings both back to 1e-5.
+    """
+    save(tmp_path / "teapot.stl", "teapot", 1000.0, [40.0, -90.0, 3.0], Z_UP)
+    save(tmp_path / "heart.glb", "heart", 0.001, [-40.0, 30.0, 0.0], np.eye(3))
+    outcome = morph("run", "teapot.stl", "heart.glb", *QUICK, "--out", "r.vtkhdf", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "The target is given a quarter turn about x" in " ".join(outcome.stderr.split())
+    with Trajectory(tmp_path / "r.vtkhdf") as result:
+        run = result.run
+        assert run.placement.up == "z"
+        for role, points, axes in (
+            ("source", run.source_points, [0, 1, 2]),
+            ("target", run.target_points, [0, 2, 1]),
+        ):
+            mesh = load_mesh(tmp_path / getattr(run, role).name)
+            extent = np.ptp(mesh.bounds, axis=0)
+            shares = np.ptp(points, axis=0) / extent[axes]
+            np.testing.assert_allclose(shares, shares.mean(), rtol=0.2)  # a spacing of 1 dx
+            matrix = run.transform_to("user", 0.0 if role == "source" else 1.0)
+            fitted, _ = run.fitted(role)
+            back = fitted.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            np.testing.assert_allclose(back, mesh.vertices, rtol=0, atol=1e-5 * extent.max())
 
 
 def test_what_is_made_for_the_domain_is_left_alone(tmp_path):

@@ -27,7 +27,8 @@ def test_machine_that_has_everything(tmp_path: Path) -> None:
     """Nothing is wrong, and nothing is left behind."""
     status, findings = run_doctor(MORPH_DATA_DIR=str(tmp_path / "data"))
     assert status == 0
-    assert [*findings] == ["software", "libraries", "memory", "disk", "database", "morph"]
+    subjects = ["software", "libraries", "memory", "network", "disk", "database", "morph"]
+    assert [*findings] == subjects
     assert {finding["verdict"] for finding in findings.values()} <= {"ok", "warning"}
     assert "taichi 1." in findings["software"]["text"]
     assert not (tmp_path / "data").exists()

@@ -88,6 +88,20 @@ def test_render_makes_a_video(result, tmp_path):
         assert (video.streams.video[0].width, video.streams.video[0].height) == (64, 48)
 
 
+def test_render_keeps_a_time_of_its_own(result, tmp_path):
+    """A second at 5 pictures a second, from all around, on nothing; JSON tells what was written."""
+    options = ("--seconds", 1, "--fps", 5, "--easing", "linear", "--repeat", "ping-pong")
+    look = ("--camera", "orbit", "--background", "transparent", "--size", "64x48", "--json")
+    outcome = morph("render", result, "-o", "box.webm", *options, *look, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    with av.open(str(tmp_path / "box.webm")) as video:
+        assert len(list(video.decode(video=0))) == 5
+    keys = ("--camera-key", "0:25,15", "--camera-key", "1:90,40,2")
+    outcome = morph("render", result, "-o", "pictures", "--size", "64x48", *keys, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert len(list((tmp_path / "pictures").iterdir())) == 2 + 12  # two frames, and a second
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
@@ -100,6 +114,10 @@ def test_render_makes_a_video(result, tmp_path):
         (("export", "gone.vtkhdf", "-o", "x.ply"), "Check the path"),
         (("render", "RESULT", "-o", "x.mp4", "--size", "big"), "960x720"),
         (("render", "RESULT", "-o", "x.gif", "--snap"), "--surface"),
+        (("render", "RESULT", "-o", "x.gif", "--seconds", "1", "--hold", "1"), "rests"),
+        (("render", "RESULT", "-o", "x.gif", "--camera-key", "0:1"), "0.5:90,30,1.5"),
+        (("render", "RESULT", "-o", "x.gif", "--background", "transparent"), "webm"),
+        (("export", "RESULT", "-o", "x.ply", "--seconds", "1"), "mp4"),
     ],
 )
 def test_refusals_have_cause_and_remedy(result, tmp_path, arguments, word):

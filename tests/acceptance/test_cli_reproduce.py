@@ -74,7 +74,7 @@ def assert_same_bits(results, unbroken):
         np.testing.assert_array_equal(frames_of(results, run_id), frames_of(unbroken, run_id))
 
 
-def wait_for(condition, seconds=60):
+def wait_for(condition, seconds=600):
     """Wait until a condition holds; fails if it does not in time."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -201,6 +201,7 @@ def test_without_a_table_there_is_a_list_of_them(tmp_path):
         assert word in listed
 
 
+@pytest.mark.faults
 def test_a_service_computes_the_same_and_each_run_once(unbroken, tmp_path):
     """Submitted, watched and fetched; a repeated command meets the jobs of the first one."""
     with socket.socket() as free:

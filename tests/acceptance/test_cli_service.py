@@ -168,6 +168,30 @@ def test_a_mesh_is_submitted_watched_shown_and_fetched(morph, service, tmp_path)
         assert [mesh.name for mesh in client.meshes()] == ["box.obj"]
 
 
+def test_a_job_goes_through_several_shapes(morph, service, tmp_path):
+    """Files and built-in shapes, one job of two legs, whose frames say to which they belong."""
+    (tmp_path / "box.obj").write_text(BOX)
+    outcome = morph(
+        "submit", "sphere", "box.obj", "sphere", "--method", "dco", "--watch", "--json", *SMALL
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    job = json.loads(outcome.stdout)["id"]
+    with MorphClient(service) as client:
+        found = client.job(job)
+        assert (found.source_name, found.via_names, found.target_name) == (
+            "sphere", ["box.obj"], "sphere",
+        )  # fmt: skip
+        assert (found.progress.frame, found.progress.frames, found.outcome.frames) == (4, 4, 4)
+        frames = [event.data for event in client.events(job) if event.type == "frame"]
+        assert [(data["leg"], data["legs"]) for data in frames] == [(0, 2), (0, 2), (1, 2), (1, 2)]
+    shown = morph("show", job)
+    assert "sphere to box.obj to sphere" in shown.stdout
+    assert morph("fetch", job).returncode == 0
+    with Trajectory(tmp_path / "sphere-to-box-to-sphere.vtkhdf") as result:
+        assert result.legs.tolist() == [0, 0, 1, 1]
+        assert result.status == "complete"
+
+
 def test_ctrl_c_leaves_a_watched_job_alone_which_then_is_cancelled(morph, long_job, tmp_path):
     """130 after Ctrl-C, 1 for a job that was cancelled; its frames can be fetched, it can go on."""
     job_id, watching = long_job

@@ -35,12 +35,15 @@ USER_MODULES = (
 """The user's own, in the working directory; some have names of the standard library."""
 
 
+OLDEST = "3.10 with the oldest packages allowed"
+
+
 def build(target: str, source: Path, folder: Path) -> Path:
-    """Build a wheel or an sdist; without Node.js, so that the page is packed as it is."""
+    """Build a wheel or an sdist; without Node.js where the page is there, to be packed as it is."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
-    subprocess.run(
-        command, cwd=source, env=os.environ | {"PATH": ""}, check=True, capture_output=True
-    )
+    page_is_there = (source / "server" / "web" / "dist" / "index.html").is_file()
+    environment = os.environ | ({"PATH": ""} if page_is_there else {})
+    subprocess.run(command, cwd=source, env=environment, check=True, capture_output=True)
     (archive,) = folder.iterdir()
     return archive
 
@@ -79,12 +82,43 @@ def test_a_wheel_installs_two_typed_packages_and_no_tests(wheel):
 
 
 def test_a_wheel_holds_the_page_where_it_was_built(wheel):
-    """With its compressed copies, and nothing that it was made of."""
+    """With its compressed copies, and nothing that it was made of; and so the viewer of exports.
+
+    Both with the licences of the libraries in them.
+    """
     page = ROOT / "server" / "web" / "dist"
     built = {str(path.relative_to(page)) for path in page.rglob("*") if path.is_file()}
     prefix = "chamfer_morph/server/web/"
-    packed = {name.removeprefix(prefix) for name in names_in(wheel) if name.startswith(prefix)}
+    names = names_in(wheel)
+    packed = {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
     assert packed == {f"dist/{name}" for name in built}
+    assert "dist/licenses.txt" in packed
+    viewer = {name for name in names if name.startswith("morph_engine/export/viewer/")}
+    assert {Path(name).name for name in viewer} == {"licenses.txt", "viewer.css", "viewer.js"}
+
+
+@pytest.mark.distribution
+def test_a_checkout_without_node_builds_the_page(tmp_path):
+    """Node.js comes as a package then; nothing else of the machine is needed but a shell."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    for name in listed.rstrip("\0").split("\0"):
+        copy = tmp_path / "source" / name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, copy, follow_symlinks=False)
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    (programs / "sh").symlink_to(shutil.which("sh"))
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps",
+         "--wheel-dir", tmp_path / "wheel", tmp_path / "source"],
+        env=os.environ | {"PATH": str(programs)}, check=True,
+    )  # fmt: skip
+    (wheel,) = (tmp_path / "wheel").iterdir()
+    names = names_in(wheel)
+    assert "chamfer_morph/server/web/dist/index.html" in names
+    assert "morph_engine/export/viewer/viewer.js" in names
 
 
 def test_an_sdist_holds_what_make_needs_and_gives_the_same_wheel(wheel, tmp_path):
@@ -173,6 +207,7 @@ def _every_python() -> Iterator[object]:
     yield pytest.param("", id="this")
     for minor in range(10, 14):
         yield pytest.param(f"3.{minor}", marks=pytest.mark.distribution)
+    yield pytest.param(OLDEST, marks=pytest.mark.distribution)
 
 
 @pytest.fixture(scope="module", params=_every_python())
@@ -183,11 +218,15 @@ def installation(
     folder = tmp_path_factory.mktemp("installation")
     python = folder / "venv" / "bin" / "python"
     if request.param:
+        interpreter = _find_python(request.param.partition(" ")[0])
         constraints = folder / "constraints.txt"
-        constraints.write_text(
-            re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
-        )
-        subprocess.run([_find_python(request.param), "-m", "venv", folder / "venv"], check=True)
+        if request.param == OLDEST:
+            _write_oldest_allowed(constraints, interpreter)
+        else:
+            constraints.write_text(
+                re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
+            )
+        subprocess.run([interpreter, "-m", "venv", folder / "venv"], check=True)
         install = [python, "-m", "pip", "install", "--quiet", "-c", constraints, wheel]
         subprocess.run(install, check=True)
     else:
@@ -233,12 +272,14 @@ def test_public_types_are_complete(installation, package, tmp_path):
     assert report["completenessScore"] >= 0.99
 
 
+@pytest.mark.distribution
 def test_the_reproduction(installation):
     """Its runs are processes of their own."""
     installation.morph("reproduce", "trial", "--quick", "--results", "results", "--quiet")
     assert (installation.cwd / "results" / "report.html").is_file()
 
 
+@pytest.mark.distribution
 def test_the_service(installation, tmp_path):
     """API, janitor, worker, engine processes, and the processes that read meshes and export."""
     morph = installation.morph
@@ -264,6 +305,7 @@ def test_the_service(installation, tmp_path):
     installation.require_no_foreign_imports()
 
 
+@pytest.mark.distribution
 def test_a_worker(installation, tmp_path):
     """`morph worker` starts slots, each of which has a lock as soon as it is ready for jobs."""
     process = installation.start("worker", "--slots", 1, "--data-dir", tmp_path)
@@ -284,6 +326,15 @@ def _pyright_environment(installation: Installation) -> dict[str, str]:
     folders = (installation.python.parent, Path(sys.executable).parent, os.environ["PATH"])
     path = os.pathsep.join(map(str, folders))
     return installation.environment | {"PATH": path, "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
+
+
+def _write_oldest_allowed(constraints: Path, interpreter: Path) -> None:
+    """The oldest version of each package that pyproject.toml allows."""
+    subprocess.run(
+        [Path(sys.executable).with_name("uv"), "pip", "compile", "--quiet", "--resolution",
+         "lowest-direct", "--python", interpreter, "--output-file", constraints, "pyproject.toml"],
+        cwd=ROOT, check=True,
+    )  # fmt: skip
 
 
 def _extraction_filter() -> dict[str, str]:
@@ -308,7 +359,7 @@ def _answers(url: str) -> bool:
         return False
 
 
-def _wait_for(condition: Callable[[], bool], seconds: float = 60) -> None:
+def _wait_for(condition: Callable[[], bool], seconds: float = 600) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline

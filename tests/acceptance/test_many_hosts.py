@@ -11,8 +11,10 @@ import numpy as np
 import psycopg
 import pytest
 
+from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import JobState
 from tests.acceptance.conftest import FRAMES, Cluster
+from tests.integration.api.conftest import serving
 from tests.object_store import BUCKET, Link, s3_server
 
 pytestmark = pytest.mark.faults
@@ -84,6 +86,25 @@ def test_job_of_a_lost_host(
     assert not [*tmp_path.glob("data1/*slot1/jobs/*")], "what is published stays on no worker"
 
 
+def test_a_fork(new_host: Callable[..., Cluster]) -> None:
+    """One host computes a job, another forks it, a third goes on."""
+    first, second, third = new_host(), new_host(), new_host()
+    worker = first.worker(0)
+    with serving(second.settings.model_copy(update={"port": 0})) as api:
+        run = {"method": "joint", "frames": 3, "overrides": {"sampling.points_per_cell_edge": 1}}
+        with MorphClient(str(api.http.base_url)) as client:
+            original = client.submit("sphere", "star", **run, states_every=2)
+            first.wait_for_state(original.id, JobState.SUCCEEDED)
+            worker.terminate()
+            worker.wait()
+            fork = client.fork(original.id, 1)
+            client.delete(original.id)
+            third.worker(1)
+            record = third.wait_for_state(fork.id, JobState.SUCCEEDED, JobState.FAILED)
+            assert record.state is JobState.SUCCEEDED, record.problem
+            assert [row["frame"] for row in client.metrics(fork.id)] == [0, 1, 2]
+
+
 @pytest.mark.parametrize("seconds", [1.0, 20.0])
 def test_link_that_is_cut(
     new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray, seconds: float
@@ -98,6 +119,22 @@ def test_link_that_is_cut(
     assert reader.job(job).state is JobState.RUNNING
     link.mend()
     reader.require_sound(job, undisturbed, kills=0)
+
+
+def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link: Link) -> None:
+    """Jobs are listed, shown and cancelled; what needs their files says what is missing."""
+    near, host = new_host(), new_host(link)  # the last one tells where the API looks
+    with serving(host.settings.model_copy(update={"port": 0})) as api:
+        job = near.submit()
+        assert api.http.get("/v1/jobs").status_code == 200
+        link.cut()
+        (shown,) = api.http.get("/v1/jobs").json()["items"]
+        assert shown["id"] == job and shown["state"] == "queued"
+        assert api.http.get(f"/v1/jobs/{job}").json()["state"] == "queued"
+        cancelled = api.http.post(f"/v1/jobs/{job}/cancel")
+        assert cancelled.status_code == 202 and cancelled.json()["state"] == "cancelled"
+        answer = api.http.get(f"/v1/jobs/{job}/frames/0")
+        assert answer.status_code == 503 and "object store" in answer.json()["detail"]
 
 
 def test_link_that_stays_cut(new_host: Callable[..., Cluster], link: Link) -> None:

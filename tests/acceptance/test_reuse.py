@@ -9,6 +9,7 @@ import pytest
 
 from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import JobState
+from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS
 from tests.integration.api.conftest import serving
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
@@ -16,6 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of P
 RUN = {"method": "joint", "frames": 1, "overrides": {"sampling.points_per_cell_edge": 1}}
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_equal_jobs(cluster):
     """The bytes are the same, and none of them is computed; anything else is another run."""
     worker = cluster.worker()
@@ -29,6 +31,7 @@ def test_equal_jobs(cluster):
         worker.wait()
         equal = client.submit("sphere", "star", **RUN, reuse=True, name="again", timeout_seconds=9)
         assert equal.state == "succeeded" and equal.name == "again"
+        assert equal.reused_from == first.id and client.job(first.id).reused_from is None
         assert equal.outcome == client.job(first.id).outcome and equal.outcome.provenance["code"]
         assert client.metrics(equal.id) == client.metrics(first.id) != []
         paths = [cluster.storage.result_path(job) for job in (first.id, equal.id)]
@@ -44,6 +47,11 @@ def test_equal_jobs(cluster):
         client.delete(first.id)
         again = client.submit("sphere", "star", **RUN, reuse=True)
         assert again.state == "succeeded" and paths[1].read_bytes() == other
+        assert again.reused_from == first.id
         paths[1].unlink()
         cluster.storage.result_path(again.id).unlink()
         assert client.submit("sphere", "star", **RUN, reuse=True).state == "queued"
+        client.retry(again.id)
+        cluster.worker()
+        cluster.wait_for_state(again.id, JobState.SUCCEEDED)
+        assert client.job(again.id).reused_from is None

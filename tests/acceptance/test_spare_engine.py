@@ -60,12 +60,13 @@ def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
     cluster.wait_until(lambda: not engine.is_running(), "the used engine to end")
     following = spare_of(cluster, worker)
     assert following != engine
-    second = cluster.submit()
+    second = cluster.submit(frames=1)
     assert cluster.engine(worker) == following
-    cluster.require_sound(second, undisturbed, kills=0)
+    cluster.wait_for_state(second, JobState.SUCCEEDED)
     assert cluster.storage.job_dir(second).joinpath("log.txt").exists()
 
 
+@pytest.mark.faults
 def test_a_dead_spare_is_replaced(cluster, undisturbed):
     """A job that comes meanwhile has a process of its own."""
     worker = cluster.worker()
@@ -77,6 +78,7 @@ def test_a_dead_spare_is_replaced(cluster, undisturbed):
     assert worker.poll() is None
 
 
+@pytest.mark.faults
 def test_a_killed_job_goes_on_in_another_process(cluster, undisturbed):
     """As without spare processes, and the cause names the signal."""
     worker = cluster.worker()
@@ -100,12 +102,14 @@ def test_other_needs_have_a_fresh_process(cluster):
     assert cluster.spare(worker) == spare
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.faults)]
+)
 def test_nothing_stays_behind(cluster, number):
     """Neither a spare process nor that of a job outlives the worker, however it ends."""
     worker = cluster.worker()
     spare_of(cluster, worker)
-    job = cluster.submit()
+    job = cluster.submit(frames=60)
     cluster.wait_for_frame(job, 1)
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
     family = [cluster.engine(worker), cluster.spare(worker)]

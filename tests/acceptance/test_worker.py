@@ -11,6 +11,7 @@ from chamfer_morph.schemas import JobState, MeshShape
 from chamfer_morph.server.failure_counts import FailureCounts
 from chamfer_morph.worker.alarm import SETTLING_PAUSE_SECONDS, SETTLING_SECONDS
 from chamfer_morph.worker.slots import executor_id
+from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -31,6 +32,7 @@ def test_from_the_queue_to_the_result_on_another_worker(cluster, undisturbed):
     assert cluster.job(job).executor == executor_id(1 - dead)
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_cancel_and_resume(cluster, undisturbed):
     """Cancelling ends the engine in two seconds and keeps its frames; resuming uses them."""
     worker = cluster.worker()
@@ -45,6 +47,7 @@ def test_cancel_and_resume(cluster, undisturbed):
     cluster.require_sound(job, undisturbed)
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_a_retry_begins_anew(cluster):
     """What a job left is there until it is in the queue again; then all frames are computed."""
     cluster.worker()
@@ -58,6 +61,7 @@ def test_a_retry_begins_anew(cluster):
     assert cluster.storage.events(job).read()[0].data["attempt"] == 1
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_the_stages_before_the_first_frame(cluster):
     """They are told in order, and the source is there from the second on."""
     cluster.worker()
@@ -97,6 +101,7 @@ def test_idle_workers_are_told(new_cluster, own_postgres):
     cluster.wait_until(lambda: cluster.job(again).executor == executor_id(1), "its adoption")
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_failures_are_counted_by_kind(cluster):
     """Each once; one that fails again counts again."""
     cluster.worker()
@@ -116,10 +121,27 @@ def test_failures_are_counted_by_kind(cluster):
     assert FailureCounts(cluster.queue).since_last_call() == {"timeout": 1, "input": 1}
 
 
+@POSTGRES_BY_FAULT_TESTS
+def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
+    """It fails once, with the cause; where it has more memory it goes on from its last frame."""
+    tight = cluster.worker(MORPH_JOB_MEMORY_BYTES=str(150_000_000))
+    job = cluster.submit()
+    problem = cluster.wait_for_state(job, JobState.FAILED).problem
+    assert problem.kind == "resources"
+    assert "jobs may have 150 MB" in problem.cause
+    assert tight.poll() is None
+    assert not cluster.engines(tight)
+    tight.terminate()
+    tight.wait(10)
+    cluster.worker()
+    cluster.queue.resume(job)
+    cluster.wait_for_state(job, JobState.SUCCEEDED)
+
+
 def test_a_paused_owner_waits(cluster):
     """Others go on meanwhile, and so does what runs; then the owner's own order holds."""
     cluster.worker()
-    running = cluster.submit(owner="a")
+    running = cluster.submit(owner="a", frames=5)
     waiting = [cluster.submit(owner="a", frames=1) for _ in range(2)]
     cluster.wait_for_state(running, JobState.RUNNING)
     cluster.queue.pause("a")

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,13 @@ def moving(request, tmp_path_factory):
 def test_the_khronos_validator_finds_nothing(moving):
     """No error, no warning, not even a hint."""
     _, path, _ = moving
+    issues = validated(path)
+    assert issues["messages"] == []
+    assert issues["numErrors"] == 0
+
+
+def validated(path):
+    """What the validator finds in a file."""
     node = shutil.which("node")
     if node is None:
         pytest.fail("There is no node. Run `make test-browser`.")
@@ -101,21 +109,18 @@ def test_the_khronos_validator_finds_nothing(moving):
         [node, "-e", VALIDATE, MODULES / "gltf-validator", path],
         check=True, capture_output=True, text=True,
     ).stdout  # fmt: skip
-    issues = json.loads(printed)
-    assert issues["messages"] == []
-    assert issues["numErrors"] == 0
+    return json.loads(printed)
 
 
 def test_three_plays_it(moving, browser):
     """Every frame is where the user's files have it, by one mesh at a time, and can be seen."""
     pair, path, surface = moving
     assert (surface.changes_at is not None) == PAIRS[pair]
-    page = browser.new_page(viewport={"width": 200, "height": 200})
-    faults = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.route(f"{SITE}**", lambda route: _answer(route, path))
-    page.goto(SITE)
-    page.wait_for_function("window.ready")
+    with playing(browser, path) as page:
+        _check_frames(page, surface)
+
+
+def _check_frames(page, surface):
     for frame in range(FRAMES):
         # the second mesh is there from its first moment on
         shown = page.evaluate(f"shown({frame / FPS + 1e-4})")
@@ -129,6 +134,18 @@ def test_three_plays_it(moving, browser):
         assert 0 < mesh["roughness"] < 1
         picture = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("L"))
         assert 0.1 < (picture > 20).mean() < 0.9
+
+
+@contextmanager
+def playing(browser, path):
+    """A page in which three.js shows a file, and which has no faults."""
+    page = browser.new_page(viewport={"width": 200, "height": 200})
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.route(f"{SITE}**", lambda route: _answer(route, path))
+    page.goto(SITE)
+    page.wait_for_function("window.ready")
+    yield page
     page.close()
     assert faults == []
 

@@ -179,3 +179,62 @@ def test_keys_are_asked_for_and_kept_for_the_tab(new_service, new_page):
     expect(row(page, "made before the keys")).to_be_visible()
     page.get_by_role("button", name="Forget key").click()
     expect(page.get_by_label("API key")).to_be_visible()
+
+
+def test_the_own_queue_is_paused_and_goes_on(new_service, new_page):
+    """The list says that it is paused, whoever did it, and ends the pause."""
+    waiting = new_service(workers=0)
+    page = new_page(of=waiting)
+    page.goto("/")
+    expect(page.get_by_text("Nothing has been morphed yet")).to_be_visible()
+    expect(page.get_by_role("button", name="Pause my queue")).to_have_count(0)
+    waiting.submit(name="one that waits")
+    page.get_by_role("button", name="Pause my queue").click()
+    expect(page.get_by_text("Your queue is paused. 1 job of yours will wait")).to_be_visible()
+    expect(row(page, "one that waits")).to_contain_text("Paused")
+    assert waiting.call("GET", "/v1/queue").json()["paused"]
+    expect(page.get_by_role("button", name="End the pause")).to_be_focused()
+    page.get_by_role("button", name="End the pause").press("Enter")
+    expect(row(page, "one that waits")).to_contain_text("Next in the queue")
+    waiting.call("POST", "/v1/queue/pause")
+    expect(page.get_by_role("button", name="End the pause")).to_be_visible()
+
+
+RECORD = """window.Notification = class extends Notification {
+  constructor(title, options) {
+    super(title, options);
+    const { dataset } = document.documentElement;
+    dataset.shown = `${dataset.shown ?? ""}${title}: ${options.body}.`;
+  }
+};"""
+"""Real notifications, whose words can be read."""
+
+
+def test_a_notification_when_a_job_ends(service, new_page):
+    """Only once it was asked for, also after a reload; a job that was over before is no news."""
+    service.wait_for(service.submit(name="over before"), "succeeded")
+    page = new_page(permissions=["notifications"])
+    page.add_init_script(RECORD)
+    page.goto("/")
+    bell = page.get_by_role("button", name="Notify me when a job ends")
+    expect(bell).to_have_attribute("aria-pressed", "false")
+    service.wait_for(service.submit(name="unasked"), "succeeded")
+    bell.click()
+    expect(bell).to_have_attribute("aria-pressed", "true")
+    page.goto("/new")
+    expect(bell).to_have_attribute("aria-pressed", "true")
+    service.submit(name="awaited")
+    expect(page.locator("html")).to_have_attribute("data-shown", "awaited: Succeeded.")
+    bell.click()
+    expect(bell).to_have_attribute("aria-pressed", "false")
+
+
+def test_notifications_that_are_blocked(service, new_page):
+    """A person who wants them is told why there are none."""
+    page = new_page(permissions=[])
+    page.goto("/")
+    page.get_by_role("button", name="Notify me when a job ends").click()
+    expect(page.get_by_role("dialog")).to_contain_text("Allow them in the browser's settings")
+    page.get_by_role("button", name="Close").click()
+    bell = page.get_by_role("button", name="Notify me when a job ends")
+    expect(bell).to_have_attribute("aria-pressed", "false")

@@ -133,7 +133,8 @@ RECORD = """() => {
     window.seen = [];
     window.recorder?.disconnect();
     window.recorder = new MutationObserver(() => window.seen.push(look()));
-    const options = { subtree: true, childList: true, characterData: true, attributes: true };
+    const attributeFilter = ["class", "hidden"]; // those of a canvas tell that it is drawn finer
+    const options = { subtree: true, childList: true, characterData: true, attributeFilter };
     window.recorder.observe(document.querySelector("form"), options);
     return look();
 }"""
@@ -380,6 +381,42 @@ def test_what_only_the_service_refuses_is_told_beside_its_field(page):
     fault = page.locator("[id='set-chamfer.weight-fault']")
     expect(fault).to_contain_text("-3: input should be greater than or equal to 0")
     expect(page.locator("[id='set-chamfer.weight']")).to_be_focused()
+
+
+def test_a_morph_goes_through_several_shapes(service, mesh_files, page):
+    """Shapes between are added and removed, live in the address, and make one job of three legs."""
+    page.goto("/new?source=shape:sphere&target=shape:sphere")
+    add = page.get_by_role("button", name="Add a shape between")
+    for _ in range(3):
+        add.click()
+    between = card(page, "Through (2)")
+    between.get_by_label("Mesh file of the shape number 3").set_input_files(mesh_files["box.stl"])
+    expect(between).to_contain_text("box.stl:")
+    page.get_by_role("button", name="Remove shape number 4").click()
+    expect(card(page, "Through (3)")).to_have_count(0)
+    page.reload()
+    expect(card(page, "Through (2)")).to_contain_text("box.stl:")
+    make_it_small(page)
+    method(page, "dco").check()
+    page.get_by_role("button", name="Morph").click()
+    expect(page.get_by_role("alert").filter(has_text="takes one method")).to_be_visible()
+    method(page, "flow").uncheck()
+    page.get_by_role("button", name="Morph").click()
+    page.wait_for_url("**/jobs/*")
+    job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
+    assert job["state"] == "succeeded", job["problem"]
+    assert job["via_names"] == ["torus", "box.stl"]
+    assert job["progress"]["frames"] == 6
+    heading = page.get_by_role("heading", name="sphere → torus → box.stl → sphere")
+    expect(heading).to_be_visible()
+    for frame, leg in ((1, 0), (3, 1), (6, 2)):
+        page.goto(f"/jobs/{job['id']}?frame={frame}")
+        with page.expect_response(re.compile(rf"/target\?leg={leg}&")) as answer:
+            page.get_by_label("Target", exact=True).select_option("cloud")
+        assert answer.value.status == 200
+        page.get_by_label("Target", exact=True).select_option("none")
+    page.goto(f"/new?like={job['id']}")
+    expect(card(page, "Through (2)")).to_contain_text("box.stl:")
 
 
 def test_several_methods_make_a_sweep_once(service, page):

@@ -90,6 +90,25 @@ def test_a_page_with_particles_and_surface(
     page.get_by_label("Look").select_option("metal")
 
 
+def test_a_page_plays_in_a_time_of_its_own(
+    result: Path, tmp_path: Path, open_file: Callable[[Path], Page]
+) -> None:
+    """There and back, with a rest at the end, and no speed to be chosen."""
+    out = tmp_path / "star.html"
+    subprocess.run(
+        [MORPH, "export", result, "--out", out, "--seconds", "8", "--hold", "2", "--easing",
+         "linear", "--repeat", "ping-pong", "--quiet"],
+        check=True,
+    )  # fmt: skip
+    page = open_file(out)
+    page.wait_for_selector("body[data-ready]")
+    expect(page.get_by_label("Speed")).to_be_hidden()
+    expect(page.get_by_text(f"1 / {FRAMES}")).to_be_visible()
+    page.keyboard.press(" ")
+    expect(page.get_by_text(f"{FRAMES} / {FRAMES}")).to_be_visible(timeout=600_000)
+    expect(page.get_by_text(f"1 / {FRAMES}")).to_be_visible(timeout=600_000)
+
+
 def test_a_notebook_shows_a_trajectory(
     result: Path, tmp_path: Path, open_file: Callable[[Path], Page]
 ) -> None:

@@ -2,7 +2,13 @@
 
 import pytest
 
-from chamfer_morph.cli.tables import format_duration, format_size, print_settings
+from chamfer_morph.cli.tables import (
+    format_duration,
+    format_size,
+    print_settings,
+    print_summary,
+    quality,
+)
 from morph_engine.config import setting_fields
 from morph_engine.errors import ConfigError
 from morph_engine.presets import configure
@@ -32,5 +38,29 @@ def test_every_setting_is_listed_with_its_meaning(capsys):
 
 def test_an_unknown_section_names_the_known_ones():
     """The remedy of a mistyped section lists them."""
-    with pytest.raises(ConfigError, match="grid, sampling, stopping, material"):
+    with pytest.raises(ConfigError, match="grid, sampling, placement, stopping, material"):
         print_settings(configure(), section="nope")
+
+
+def test_the_end_of_a_run_is_a_few_lines(capsys):
+    """How good, how long, and two commands that can be pasted."""
+    print_summary(
+        {
+            "cover": 0.977, "spill": 0.031, "rho_p05": 0.98, "rho_p95": 1.11, "escaped": 0.0,
+            "frames": 40, "particle_count": 37594, "wall_s": 17.4, "cpu_s": 26.2,
+            "peak_rss_mb": 420.0, "out": "my result.vtkhdf",
+        }
+    )  # fmt: skip
+    assert capsys.readouterr().out.splitlines() == [
+        "98% of the target is filled, 3% of the fill lies beside it; density 0.98 to 1.11 of an "
+        "even fill's.",
+        "40 frames of 37,594 particles in 0:17 (26 CPU s, 420 MB): my result.vtkhdf",
+        "look at it:  morph view 'my result.vtkhdf'",
+        "all numbers: morph metrics 'my result.vtkhdf'",
+    ]
+
+
+def test_lost_particles_are_told():
+    """They are no small print."""
+    metrics = {"cover": 1.0, "spill": 0.0, "rho_p05": 1.0, "rho_p95": 1.0, "escaped": 3.0}
+    assert quality(metrics).endswith("3 particles left the domain.")

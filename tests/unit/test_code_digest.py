@@ -67,7 +67,8 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., set[str]]
     ("name", "methods_of_it"),
     [
         ("methods/dco.py", {"dco"}),
-        ("methods/transport.py", {"transport", "flow"}),  # which takes its easing from there
+        ("methods/transport.py", {"transport"}),
+        ("smoothstep.py", set(METHODS)),  # colours of a result are blended by it, too
         ("losses/sinkhorn.py", {"sinkhorn"}),
         ("mpm/constitutive.py", {"transport", "flow"}),
         ("metrics/volume.py", set(METHODS)),

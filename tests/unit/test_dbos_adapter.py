@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 from dbos import WorkflowStatus, _sys_db
 
 from chamfer_morph.schemas import BuiltInShape, JobState
@@ -52,6 +53,22 @@ def test_the_columns_hold_what_the_public_interface_says(queue: JobQueue) -> Non
         connection.execute(table.update().values(priority=9))
     (status,) = queue._client.list_workflows(workflow_ids=[job_id])
     assert isinstance(status, WorkflowStatus) and status.priority == 9
+
+
+def test_equal_jobs_are_found_by_an_index(queue: JobQueue) -> None:
+    """The look-up reads only those, however many others there are."""
+    asked: list[tuple[str, tuple[object, ...]]] = []
+
+    def note(_: object, __: object, statement: str, values: tuple[object, ...], *___: object):
+        asked.append((statement, values))
+
+    reader = queue._workflows._reader
+    sa.event.listen(reader, "before_cursor_execute", note)
+    assert queue.succeeded("ann", "0" * 64) == []
+    ((statement, values),) = asked
+    with reader.connect() as connection:
+        plan = connection.exec_driver_sql(f"explain query plan {statement}", values).all()
+    assert "morph_jobs_by_run" in str(plan)
 
 
 def test_every_status_is_known() -> None:

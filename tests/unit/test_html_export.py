@@ -57,7 +57,8 @@ def test_names_are_text(
 ) -> None:
     """A name cannot end the script it stands in."""
     (tmp_path / "viewer.js").write_text("start()")
-    (tmp_path / "viewer.css").write_text("")
+    for name in ("viewer.css", "licenses.txt"):
+        (tmp_path / name).write_text("")
     monkeypatch.setattr(html, "VIEWER", tmp_path)
     monkeypatch.setattr(html, "_title", lambda trajectory: "</script><script>alert(1)</script>")
     export(small_result, tmp_path / "view.html", "html")
@@ -78,7 +79,7 @@ def test_viewer_that_is_not_built(
     small_result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An export says how to build it, a notebook shows the object without it."""
-    monkeypatch.setattr(html, "VIEWER", tmp_path)
+    monkeypatch.setattr(html, "VIEWER", tmp_path / "viewer")
     with pytest.raises(ResultError, match="make page"):
         export(small_result, tmp_path / "view.html", "html")
     assert not (tmp_path / "view.html").exists()

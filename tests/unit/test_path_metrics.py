@@ -129,6 +129,16 @@ def test_schedule():
     np.testing.assert_allclose(over_schedule([1, 2.8, 3], [0, 0.9, 1]), 1)
 
 
+def test_a_body_that_grows_is_measured_by_the_spacing_it_has_by_then(ball):
+    """Its volume is as scheduled, and particles are as far apart as ever."""
+    shares = np.linspace(0, 1, 5) ** 2
+    growth = np.cbrt(1 - shares + 3 * shares)
+    m = path_metrics([ball * g for g in growth], H * growth, shares=shares)
+    assert [m["volume_min"], m["volume_max"]] == pytest.approx([1, 1], abs=0.01)
+    assert m["gap_min"] == pytest.approx(gap_metrics(ball, H)["gap_min"])
+    assert (m["more_pieces"], m["more_euler"]) == (0, 0)
+
+
 def test_motion_does_not_depend_on_timing():
     """Straight lines at a common, uneven pace are the best; detours and turns taken cost."""
     way = np.array([[1, 0, 0], [0, 2, 0]], float)

@@ -6,13 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
+from morph_engine.errors import MeshError
+from morph_engine.geometry import rotation as rotations
+from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.placement import Placement, Solid, place, placed
 from morph_engine.geometry.sampling import HALF_EXTENT, REFERENCE_VOLUME, Similarity
 from morph_engine.geometry.shapes import make, names
 from morph_engine.morphing import prepare
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
+from morph_engine.sections import PlacementConfig, PoseConfig
 
 COARSE = {"sampling.points_per_cell_edge": 2}
 AS_IT_IS = Similarity()
@@ -171,3 +177,128 @@ def test_a_mesh_that_stays_is_the_same_object():
     """Nothing is computed, so that no bit can change."""
     mesh = make("sphere")
     assert placed(mesh, Similarity()) is mesh
+
+
+def pose(**settings) -> PlacementConfig:
+    """A pose of the target."""
+    return PlacementConfig(target=PoseConfig(**settings))
+
+
+def test_three_angles_are_turns_about_x_y_and_z():
+    """As three.js and SciPy have them in the order XYZ, which its matrices show."""
+    angles = (20.0, -70.0, 130.0)
+    expected = Rotation.from_euler("XYZ", angles, degrees=True)
+    found = rotations.from_euler(angles)
+    np.testing.assert_allclose(rotations.matrix(found), expected.as_matrix(), atol=1e-15)
+
+
+def test_a_rotation_half_way_is_as_far_from_both():
+    """By half the angle, about the same axis."""
+    first, last = rotations.about_axis(1, 10.0), rotations.about_axis(1, 250.0)
+    half = rotations.matrix(rotations.between(first, last, 0.5))
+    np.testing.assert_allclose(half, rotations.matrix(rotations.about_axis(1, -50.0)), atol=1e-12)
+
+
+def test_a_similarity_and_its_inverse_undo_each_other():
+    """To rounding, for any scale, rotation and offset; and so do two in a row."""
+    there = Similarity(3e-3, (5.0, -70.0, 0.1), rotations.from_euler((10.0, 200.0, -35.0)))
+    points = np.random.default_rng(0).normal(scale=1000.0, size=(50, 3))
+    np.testing.assert_allclose(there.inverse().apply(there.apply(points)), points, rtol=1e-11)
+    both = there.inverse().after(there)
+    np.testing.assert_allclose(both.matrix, np.eye(4), atol=1e-12)
+    homogeneous = np.c_[points, np.ones(50)] @ there.matrix.T
+    np.testing.assert_allclose(homogeneous[:, :3], there.apply(points), rtol=1e-12)
+
+
+def test_a_target_that_stands_on_another_axis_is_turned():
+    """Its z comes to point along y, and the other way round; its centre stays the centre."""
+    for upright, other in (("y", "z"), ("z", "y")):
+        tall = solid([-2, -2, -6], [2, 2, 6]) if other == "z" else solid([-2, -6, -2], [2, 6, 2])
+        source, target = replace(cube(11.0), up=upright), replace(tall, up=other)
+        placement = place(source, target, fit="volume")
+        half = np.ptp(placement.target.box(tall.bounds), axis=0) / 2
+        axis = 1 if upright == "y" else 2
+        assert placement.up == upright and half.argmax() == axis
+        assert f"The target is given a quarter turn about x, since {other}" in placement.turning
+        upwards = placement.target.apply(np.eye(3)["yz".index(other) + 1]) - np.array(
+            placement.target.offset
+        )
+        assert upwards[axis] > 0
+        back = placement.to_user(1.0).apply(placement.target.apply(tall.bounds))
+        np.testing.assert_allclose(back, tall.bounds, atol=1e-12)
+
+
+@pytest.mark.parametrize("ups", [("z", "z"), ("y", "y"), (None, "z"), ("z", None), (None, None)])
+def test_what_stands_alike_or_tells_nothing_is_not_turned(ups):
+    """To the bit what it was before shapes had an upward axis."""
+    source, target = cube(0.2, 5.0), cube(0.25, -90.0)
+    before = place(source, target, fit="auto")
+    turned = place(replace(source, up=ups[0]), replace(target, up=ups[1]), fit="auto")
+    assert (turned.source, turned.target) == (before.source, before.target)
+    assert turned.turning == "" and turned.up == (ups[0] or ups[1] or "y")
+
+
+def test_a_pose_overrules_what_a_file_tells():
+    """Who says that both have y up gets no turn."""
+    source, target = replace(cube(11.0), up="y"), replace(cube(11.0), up="z")
+    assert place(source, target, fit="auto", poses=pose(up="y")).target == AS_IT_IS
+
+
+def test_a_shape_is_turned_scaled_and_moved_about_its_centre():
+    """Beside what the fit does: as large and where it is asked for, and back where it was."""
+    box = solid([3, -2, -2], [11, 2, 2])
+    poses = pose(rotate=(0, 90, 0), scale=0.5, move=(1, 2, 3))
+    found = place(cube(11.0), box, fit="none", poses=poses)
+    lower, upper = found.target.box(box.bounds)
+    np.testing.assert_allclose((lower + upper) / 2, [8, 2, 3], atol=1e-12)
+    np.testing.assert_allclose(upper - lower, [2, 2, 4], atol=1e-12)
+    back = found.to_user(1.0).apply(found.target.apply(box.bounds))
+    np.testing.assert_allclose(back, box.bounds, atol=1e-12)
+
+
+def test_a_pose_that_leaves_the_domain_is_refused():
+    """With the setting that mends it."""
+    with pytest.raises(MeshError, match=r"the target reaches 20\.5 grid units") as error:
+        place(cube(11.0), cube(11.0), fit="auto", poses=pose(move=(15, 0, 0)))
+    assert "placement.target.scale" in error.value.remedy
+
+
+def test_built_in_shapes_keep_the_pose_that_is_asked_for():
+    """They come from no file, so that results go back to none: they are turned in them, too."""
+    star = Solid.of(make("star"))
+    placement = place(star, star, fit="auto", poses=pose(rotate=(0, 0, 90)))
+    assert placement.to_user(1.0) == AS_IT_IS != placement.target
+
+
+@pytest.mark.parametrize(
+    ("name", "turned", "up"),
+    [
+        ("cone.glb", False, "y"),
+        ("cone.stl", False, "z"),
+        ("cone.obj", False, "z"),
+        ("cone.ply", True, "y"),
+        ("ball.obj", False, None),
+        ("slab.obj", False, None),
+    ],
+)
+def test_the_upward_axis_is_guessed_from_honest_evidence(tmp_path, name, turned, up):
+    """By the format where that tells, by a flat base on one axis only, and else not at all."""
+    kind = name.partition(".")[0]
+    mesh = {
+        "cone": trimesh.creation.cone(radius=4.0, height=8.0),
+        "ball": trimesh.creation.icosphere(radius=4.0),
+        "slab": trimesh.creation.cylinder(radius=4.0, height=1.0),
+    }[kind]
+    if turned:
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    mesh.export(tmp_path / name)
+    assert load_mesh(tmp_path / name).up == up
+
+
+def test_shapes_that_are_taken_as_they_are_are_not_turned():
+    """Whatever their files tell, as by the paper's presets; the viewer has the source upright."""
+    source, target = replace(cube(11.0), up="z"), replace(cube(11.0), up="y")
+    placement = place(source, target, fit="none")
+    assert placement.target == placement.source == AS_IT_IS
+    assert (placement.up, placement.turning) == ("z", "")
+    assert place(source, target, fit="none", poses=pose(up="y")).target != AS_IT_IS

@@ -56,7 +56,7 @@ def test_without_git_there_is_no_commit(commit_of, monkeypatch):
 def test_this_process_is_named_with_what_it_has_cost(float32_device):
     """Every part that a sceptic asks for, and times that only grow."""
     first = provenance_by_now("dco")
-    sum(range(10**6))
+    sum(range(10**7))
     second = provenance_by_now("dco")
     assert first.code == code_digest("dco")
     assert (first.device, first.gpu) == ("cpu", "") and first.cpu

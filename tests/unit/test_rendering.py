@@ -1,9 +1,11 @@
 """Pictures and videos: what is nearer hides what is farther, and files are what they claim."""
 
 import io
+import re
 import sys
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import av
 import numpy as np
@@ -12,6 +14,7 @@ from PIL import Image
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
+from morph_engine.rendering.materials import MATERIALS
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
 
@@ -93,6 +96,63 @@ def test_thumbnail_is_a_small_transparent_picture(lattice_ball):
     assert image.shape == (180, 240, 4)
     assert image[90, 120, 3] == 255
     assert not image[[0, 0, -1, -1], [0, -1, 0, -1], 3].any()
+
+
+LOOKS_JS = Path(__file__).resolve().parents[2] / "server/web/src/viewer/looks.js"
+
+
+def test_the_page_has_the_same_looks():
+    """Names, colours, roughness and clear layers."""
+    text = LOOKS_JS.read_text()
+    page = dict(re.findall(r"^  (\w+): \{(.*?)\},?$", text, re.M | re.S))
+    assert page.keys() == MATERIALS.keys()
+    for name, material in MATERIALS.items():
+        assert re.search(rf'color: "{material.color}"', page[name])
+        for key, value in (
+            ("roughness", material.roughness),
+            ("metalness", material.metalness),
+            ("clearcoat", material.clearcoat),
+        ):
+            found = re.search(rf"\b{key}: ([\d.]+)", page[name])
+            assert float(found[1] if found else 0) == value
+
+
+def test_looks_are_told_apart(lattice_ball):
+    """Metal shines and is dark elsewhere, clay does neither, glass shows what is behind."""
+    surface = reconstruct_surface(lattice_ball(3.0, 0.5), 0.5)
+
+    def seen(material, **more):
+        image = picture(
+            surface.vertices,
+            spacing=0.5,
+            faces=surface.faces,
+            size=SMALL,
+            material=material,
+            **more,
+        )
+        return image[20:70, 35:85].astype(float)
+
+    contrast = {name: seen(name).mean(axis=2).std() for name in MATERIALS}
+    assert contrast["metal"] > 2 * contrast["clay"]
+    assert contrast["metal"] > 2 * contrast["porcelain"]
+    red, green, blue = seen("jelly").mean(axis=(0, 1))
+    assert red > 1.5 * max(green, blue)
+    behind = {
+        name: seen(name, background=(0, 0, 1)).mean(axis=(0, 1)) for name in ("clay", "glass")
+    }
+    assert behind["clay"] == pytest.approx(seen("clay").mean(axis=(0, 1)), abs=3)
+    assert behind["glass"][2] > behind["glass"][0] + 30
+    transparent = seen("glass", background=None)
+    assert transparent[..., 3].mean() < 200
+
+
+def test_own_colours_keep_their_hue_in_a_look(lattice_ball):
+    """Blue matter is blue porcelain."""
+    points = lattice_ball(3.0, 0.5)
+    blue = np.tile([0.1, 0.2, 0.9], (len(points), 1))
+    image = picture(points, spacing=0.5, colors=blue, size=SMALL, material="porcelain")
+    middle = image[30:60, 45:75].reshape(-1, 3).mean(axis=0)
+    assert middle[2] > 1.5 * middle[0]
 
 
 def test_mp4_holds_every_frame_and_a_rest(small_result, tmp_path):

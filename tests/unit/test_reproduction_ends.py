@@ -68,6 +68,17 @@ def test_the_draws_differ_and_agree(lattice):
     assert second == pytest.approx(first, rel=0.02)
 
 
+def test_draws_that_disagree_are_made_larger(lattice, monkeypatch):
+    """Particles in heaps have few places: chance is large there, and more points are drawn."""
+    monkeypatch.setattr(ends, "POINTS", 20_000)
+    ends._references.cache_clear()
+    heaps = lattice[:: len(lattice) // 8].repeat(100, axis=0)
+    for points, sets in ((lattice, ends.SETS), (heaps, ends.MORE_SETS)):
+        reference = Reference(make("star"), count=ends.POINTS, seed=ends.SEEDS[0], sets=sets)
+        assert measure_end(points, "star")[0]["dense_s2t"] == reference.distance_to_mesh(points)
+    ends._references.cache_clear()
+
+
 def test_the_headline_tells_how_far_a_second_draw_moves_a_number():
     """The largest of all moves, relative to the larger of both values, and where it is."""
     first = dict.fromkeys(HEADLINE.metrics, 0.5)

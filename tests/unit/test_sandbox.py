@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import time
@@ -12,12 +13,14 @@ import pytest
 
 from chamfer_morph.worker.sandbox import runner
 from chamfer_morph.worker.sandbox.runner import Answer, Computation, CrashedError, Limits, Wording
+from morph_engine.child_process import python_command
 from morph_engine.errors import MeshError, ResourceError
 
 TASK = """
 import sys
 from collections.abc import Callable
 from chamfer_morph.worker.sandbox.runner import Answer
+from morph_engine.child_process import python_command
 from morph_engine.errors import MeshError
 def run(code: str, report_progress: Callable[[float], None]):
     found = {"report_progress": report_progress}
@@ -55,6 +58,26 @@ class Recorded(Computation):
 def run(code: str, limits: Limits, computation: Computation | None = None) -> Answer:
     """Run some code as a task."""
     return runner.run("task", {"code": code}, limits, WORDING, computation or Computation())
+
+
+def test_a_child_has_no_network(tmp_path: Path) -> None:
+    """It reaches nobody, not even on this machine, and reads and writes files as ever."""
+    if subprocess.run(python_command("chamfer_morph.worker.sandbox.network")).returncode:
+        pytest.skip("This system gives processes no network of their own.")
+    code = f"""
+import socket
+try:
+    socket.create_connection(("127.0.0.1", {{port}}), 5)
+except OSError as error:
+    answer = type(error).__name__
+open({str(tmp_path / "written")!r}, "w").write("this")
+"""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port), 5):
+            answer = run(code.format(port=port), Limits(1 << 28, 10, 1 << 10))
+    assert answer == Answer("OSError")
+    assert (tmp_path / "written").read_text() == "this"
 
 
 def test_what_a_task_returns_is_its_answer() -> None:

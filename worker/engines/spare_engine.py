@@ -12,6 +12,9 @@ from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 
+NEARLY_DONE = 0.75
+"""Share of a job's frames after which the process for the next job is started."""
+
 PAUSE_SECONDS = 10.0
 """After a spare process that has died, until the next one."""
 
@@ -21,9 +24,9 @@ log: logging.Logger = logging.getLogger(__name__)
 class SpareEngine:
     """An engine process that is ready for the next job of a slot.
 
-    Each computes one job at most. The next is started once the job has a frame, so that it takes
-    nothing from what somebody waits for. Of that job it learns the size of the grid's cells and
-    nothing else: kernels are compiled for each.
+    Each computes one job at most. The next is started once that job is nearly done, so that
+    it takes little from what somebody waits for. Of that job it learns the size of the grid's cells
+    and nothing else: kernels are compiled for each.
 
     Args:
         settings: Threads, and whether to keep a spare process at all.
@@ -35,6 +38,7 @@ class SpareEngine:
         self._lock = threading.Lock()  # one thread keeps it, another takes it
         self._spare: Engine | None = None
         self._taken: Engine | None = None  # the last one that was
+        self._enough_frames = 0.0  # for which it has been taken
         self._start_at = 0.0
 
     def keep(self) -> None:
@@ -45,15 +49,15 @@ class SpareEngine:
             if self._spare and self._spare.ended:
                 log.warning("A spare engine process has ended; another one follows.")
                 self._spare, self._start_at = None, time.monotonic() + PAUSE_SECONDS
-            waited_for = self._taken and not self._taken.frames and not self._taken.ended
+            taken = self._taken
+            waited_for = taken and taken.frames < self._enough_frames and not taken.ended
             if not self._spare and not waited_for and time.monotonic() >= self._start_at:
-                self._spare = Engine(
-                    self._threads, extent=self._taken.extent if self._taken else None
-                )
+                self._spare = Engine(self._threads, extent=taken.extent if taken else None)
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
         """A process for a job: the spare one if it is ready for that, or else a new one."""
         with self._lock:
+            self._enough_frames = NEARLY_DONE * spec.frame_count
             if self._spare and self._spare.is_ready_for(spec):
                 self._taken, self._spare = self._spare, None
             else:

@@ -16,6 +16,7 @@ from pydantic import validate_call
 from pydantic_core import to_json
 
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.sandbox.network import leave_network
 from chamfer_morph.worker.sandbox.runner import Answer, Limits
 from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError
@@ -25,7 +26,11 @@ ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph", "morph_engine.
 
 
 def main(module: str) -> None:
-    """Run a task within limits; memory and time of the program before it begins are free."""
+    """Run a task within limits; memory and time of the program before it begins are free.
+
+    It has no network, where the system allows to take it.
+    """
+    leave_network()
     request = json.loads(sys.stdin.buffer.readline())
     exit_with_parent(ExitCode.ORPHANED)
     channel = os.fdopen(os.dup(1), "wb")

@@ -25,7 +25,9 @@ from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.errors import MeshError, MorphError, ResourceError
 from morph_engine.geometry.placement import Solid
+from morph_engine.geometry.upward import Up
 from morph_engine.results.run_record import Role
+from morph_engine.sections import PlacementConfig
 
 TASKS = "chamfer_morph.worker.tasks"
 
@@ -45,11 +47,17 @@ class SampledShape:
 
     Attributes:
         positions: Particle positions [grid units], shape [n, 3], float32.
-        placement: What the fit does to both shapes, a sentence; empty where they stay.
+        message: What the fit does to both shapes, a sentence; empty where they stay.
+        turning: Which of them are turned to stand upright, a sentence; empty for none.
+        up: The axis of the domain that points upwards.
+        to_user: Grid units to the shape's own coordinates, shape [4, 4]; acts on columns.
     """
 
     positions: NDArray[np.float32]
-    placement: str
+    message: str
+    turning: str
+    up: Up
+    to_user: list[list[float]]
 
 
 class OtherEnd(NamedTuple):
@@ -101,6 +109,7 @@ class Sandbox:
         points_per_cell_edge: int,
         fit: Fit,
         other: OtherEnd | None,
+        poses: PlacementConfig,
         computation: Computation,
     ) -> SampledShape:
         """Fill a shape with particles as a job would whose seed and lattice are the usual ones.
@@ -112,6 +121,7 @@ class Sandbox:
             points_per_cell_edge: Lattice points per grid unit and axis.
             fit: As in the configuration.
             other: The other end of the morph; None for a shape like it.
+            poses: How both ends are turned, scaled and moved.
             computation: Told of the child.
 
         Raises:
@@ -130,10 +140,13 @@ class Sandbox:
             "other_role": other.role if other else None,
             "other_volume": other.solid.volume if other else 0.0,
             "other_bounds": other.solid.bounds.tolist() if other else None,
+            "other_up": other.solid.up if other else None,
+            "other_built_in": other is not None and other.solid.built_in,
+            "poses": poses.model_dump(mode="json"),
         }
         answer = self._read_mesh("sample_shape", arguments, computation)
         positions = np.frombuffer(answer.binary, "<f4").reshape(-1, 3)
-        return SampledShape(positions, answer.value)
+        return SampledShape(positions, **answer.value)
 
     def reconstruct_surface(self, job_id: str, index: int, computation: Computation) -> None:
         """Compute the surface of a frame that is there, counted from 0, and keep it.

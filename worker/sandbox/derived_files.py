@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from chamfer_morph.schemas import Sha256, Units
+from chamfer_morph.schemas import Easing, Repeat, Sha256, Units
 from morph_engine.files import replacing
+from morph_engine.results.timeline import Timing
+from morph_engine.results.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,24 +26,48 @@ class StoredSurface:
         faces: Vertex indices, shape [F, 3], int32.
         report: `watertight`, `bodies`, `largest` (share of the largest in the area), `volume`
             [dx^3], and, where the target is a mesh, `deviation` [dx] as of `surface.deviation`.
+        colors: Colours of the corners, sRGB, shape [V, 3], uint8. None where the shapes have none,
+            and until the job has ended, since colours lead to what the matter becomes.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     report: dict[str, Any]
+    colors: NDArray[np.uint8] | None = None
 
     @classmethod
     def load(cls, path: Path) -> StoredSurface:
         """Read one that is there."""
         with np.load(path, allow_pickle=False) as arrays:
             report = json.loads(arrays["report"].tobytes())
-            return cls(arrays["vertices"], arrays["faces"], report)
+            return cls(arrays["vertices"], arrays["faces"], report, arrays.get("colors"))
 
     def save(self, path: Path) -> None:
         """Write it as a whole."""
         report = np.frombuffer(json.dumps(self.report).encode(), np.uint8)
+        arrays: dict[str, NDArray[Any]]
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, vertices=self.vertices, faces=self.faces, report=report)
+            arrays = {"vertices": self.vertices, "faces": self.faces, "report": report}
+            if self.colors is not None:
+                arrays["colors"] = self.colors
+            np.savez(file, allow_pickle=False, **arrays)
+
+    @classmethod
+    def is_there(cls, path: Path, result: Path) -> bool:
+        """Whether there is one, with the colours that it can have by now.
+
+        Args:
+            path: Where it is kept.
+            result: The job's result file, whether it is there or not.
+        """
+        try:
+            made = path.stat().st_mtime_ns
+        except FileNotFoundError:
+            return False
+        if not result.is_file() or made > result.stat().st_mtime_ns:
+            return True
+        with Trajectory(result) as trajectory:
+            return trajectory.colors is None
 
 
 class ExportOptions(BaseModel, frozen=True, extra="forbid"):
@@ -61,8 +87,27 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     snap: bool
     tracked: bool
     fps: float | None
+    seconds: float | None = None
+    hold: float | None = None
+    easing: Easing | None = None
+    repeat: Repeat | None = None
     units: Units
     fields: list[str]
+
+    @property
+    def timing(self) -> Timing | None:
+        """How it is played; None where nothing of that is asked for.
+
+        Raises:
+            ConfigError: A number is out of range.
+        """
+        return Timing.of(
+            fps=self.fps,
+            seconds=self.seconds,
+            hold=self.hold,
+            easing=self.easing,
+            repeat=self.repeat,
+        )
 
 
 class StoredExport(BaseModel):

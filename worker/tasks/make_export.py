@@ -48,6 +48,7 @@ def run(
                 snap=options.snap,
                 tracked=options.tracked,
                 fps=options.fps,
+                timing=options.timing,
                 units=options.units,
                 fields=options.fields,
                 watch=lambda done, total: report_progress(done / max(total, 1)),

@@ -11,6 +11,8 @@ from chamfer_morph.worker.storage import writing
 from morph_engine.errors import ResultError
 from morph_engine.files import wait_for
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface, surface_deviation
+from morph_engine.results.selection import Selection
+from morph_engine.results.trajectory import Trajectory
 
 
 def run(result: Path, index: int, path: Path) -> None:
@@ -26,12 +28,13 @@ def run(result: Path, index: int, path: Path) -> None:
         ResultError: The frame has gone, or the disk refuses.
     """
     with writing("The surface"), wait_for(path.parent / "lock"):  # another API may be at it
-        if path.exists():
+        if StoredSurface.is_there(path, result):
             return
         frame, record = read_frame(result, index), read_run_record(result)
         if frame is None or record is None:
             raise ResultError("The frame has gone meanwhile.", "Ask for it again.")
-        found = reconstruct_surface(frame.positions, record.spacing_of(frame.positions))
+        spacing = record.spacing_of(frame.positions)
+        found = reconstruct_surface(frame.positions, spacing)
         report: dict[str, Any] = {
             "watertight": found.watertight,
             "bodies": found.bodies,
@@ -41,4 +44,10 @@ def run(result: Path, index: int, path: Path) -> None:
         target, _ = record.fitted("target")
         if target is not None:
             report["deviation"] = surface_deviation(found, target)
-        StoredSurface(found.vertices, found.faces, report).save(path)
+        colors = None
+        if result.is_file():  # the job has ended, so that the colours of its end are known
+            with Trajectory(result) as trajectory:
+                if index < trajectory.frame_count:
+                    selection = Selection(trajectory, (index,))
+                    colors = selection.surface_colors(found.vertices, index, spacing)
+        StoredSurface(found.vertices, found.faces, report, colors).save(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.placement import Solid, place, placed
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
+from morph_engine.geometry.upward import Up
 from morph_engine.ingest import check_mesh
 from morph_engine.results.run_record import Role
+from morph_engine.sections import PlacementConfig
 
 
 def run(
@@ -25,6 +28,9 @@ def run(
     other_role: Role | None,
     other_volume: float,
     other_bounds: list[list[float]] | None,
+    other_up: Up | None,
+    other_built_in: bool,
+    poses: dict[str, Any],
 ) -> Answer:
     """Fill a shape with particles.
 
@@ -36,10 +42,13 @@ def run(
         other_role: Which end of the morph the other shape is; None for a shape like this one.
         other_volume: Its volume.
         other_bounds: Lower and upper corner of its bounding box.
+        other_up: The axis that points upwards in it.
+        other_built_in: Whether it is a built-in shape.
+        poses: How both are turned, scaled and moved, as `placement` of the configuration.
 
     Returns:
-        What the fit does to both shapes, a sentence, and behind it the positions [grid units],
-        shape [n, 3], little-endian float32.
+        Where it is put, as `placed` of `SampledShape` takes it, and behind it the positions
+        [grid units], shape [n, 3], little-endian float32.
 
     Raises:
         MeshError: It cannot be filled, or there is no such shape.
@@ -48,10 +57,18 @@ def run(
     own = Solid.of(mesh)
     other = own
     if other_bounds is not None:
-        other = Solid(other_volume, np.array(other_bounds, np.float64))
+        bounds = np.array(other_bounds, np.float64)
+        other = Solid(other_volume, bounds, other_built_in, other_up)
     source, target = (other, own) if other_role == "source" else (own, other)
-    placement = place(source, target, fit=fit)
-    mesh = placed(mesh, placement.target if other_role == "source" else placement.source)
+    placement = place(source, target, fit=fit, poses=PlacementConfig.model_validate(poses))
+    to_grid = placement.target if other_role == "source" else placement.source
+    mesh = placed(mesh, to_grid)
     check_mesh(mesh)
     positions = sample_lattice(mesh, spacing=1 / points_per_cell_edge)
-    return Answer(placement.message, positions.astype("<f4").tobytes())
+    told = {
+        "message": placement.message,
+        "turning": placement.turning,
+        "up": placement.up,
+        "to_user": to_grid.inverse().matrix.tolist(),
+    }
+    return Answer(told, positions.astype("<f4").tobytes())

@@ -76,6 +76,18 @@ export async function field(jobId, frame, name, { low, high, signal } = {}) {
   };
 }
 
+/**
+ * Colours of the particles in each shape of a job.
+ *
+ * @returns {Promise<{bytes: Uint8Array, reached: number[]} | null>} as OwnColors takes them, see own_colors.js; null
+ *   where no shape has colours.
+ */
+export async function colours(jobId, { signal } = {}) {
+  const { buffer, headers } = await binary(`/jobs/${jobId}/colors`, { signal });
+  if (!buffer.byteLength) return null;
+  return { bytes: new Uint8Array(buffer), reached: headers.get("Morph-Reached").split(",").map(Number) };
+}
+
 /** Let the browser save what is at an address. */
 export async function save(path, name, { query, signal } = {}) {
   const looking = new AbortController();

@@ -92,7 +92,12 @@ export function ago(text, now = Date.now()) {
 
 /** What a job is called: its name, or what becomes what. */
 export function jobName(job) {
-  return job.name || `${job.source_name} → ${job.target_name}`;
+  return job.name || jobShapes(job);
+}
+
+/** What becomes what in a job. */
+export function jobShapes({ source_name: source, via_names: via = [], target_name: target }) {
+  return [source, ...via, target].join(" → ");
 }
 
 /** What files of a job are called, without an ending. */

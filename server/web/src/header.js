@@ -3,12 +3,14 @@
 import { get } from "./api.js";
 import { fill, h, svg } from "./dom.js";
 import { forgetKey, key, missing } from "./key.js";
+import { available, notifies, startNotifying, switchNotifying } from "./notifications.js";
 import { poll } from "./polling.js";
 import { switchTheme, theme } from "./theme.js";
 
 const MARK = "M9 1.5a7.5 7.5 0 1 0 0 15 7.5 7.5 0 0 0 0-15zM9 9h13.5v13.5H9z";
 const SUN = "M12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8zM12 2v2M12 20v2M2 12h2M20 12h2M5 5l1.4 1.4M17.6 17.6 19 19M5 19l1.4-1.4M17.6 6.4 19 5";
 const MOON = "M20 14.5A8.5 8.5 0 0 1 9.5 4 8.5 8.5 0 1 0 20 14.5z";
+const BELL = "M6 17V11a6 6 0 0 1 12 0v6l2 2H4zM10 22h4M12 2v3";
 const PAUSE = 10_000; // [ms] between looks at the service
 
 /** Fill the header. */
@@ -24,7 +26,7 @@ export function header(element) {
       h("a", { href: "/new" }, "New", h("span", { class: "wide" }, " morph")),
       h("a", { href: "/docs" }, "API"),
     ),
-    h("div", { class: "header-end" }, health, keyButton(), themeButton()),
+    h("div", { class: "header-end" }, health, keyButton(), notifyButton(), themeButton()),
   );
   const never = new AbortController().signal;
   poll(() => look(health), never, (error) => error && show(health, "bad", "No answer"));
@@ -67,6 +69,17 @@ function keyButton() {
   };
   document.addEventListener("keychange", draw);
   draw();
+  return button;
+}
+
+function notifyButton() {
+  const label = "Notify me when a job ends";
+  const click = () => switchNotifying().then(draw);
+  const attributes = { class: "plain icon", type: "button", "aria-label": label, title: label };
+  const button = h("button", { ...attributes, hidden: !available(), on: { click } }, drawing(BELL));
+  const draw = () => button.setAttribute("aria-pressed", String(notifies()));
+  draw();
+  startNotifying();
   return button;
 }
 

@@ -66,6 +66,7 @@ class Api:
         with Spool.create(result, run) as spool:
             for index, moved in enumerate((1, 3)):
                 spool.append(index, run.source_points + np.float32([moved, 0, 0]), {"s2t": moved})
+            spool.save_checkpoint(1, {"x": spool.positions(1)}, {})
         return job
 
     def finished(self, run: RunRecord) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.queue import JobChangedError, JobQueue
 from chamfer_morph.worker.storage import Storage
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import COARSE, Api
@@ -158,6 +158,8 @@ def test_a_retry_that_breaks_off_leaves_the_result(
         patch.setattr(Storage, "discard_if_marked", fail)
         either.context.queue.retry(job)
     assert either.http.get(f"/v1/jobs/{job}").json()["state"] == "queued" and result.exists()
+    with pytest.raises(JobChangedError):  # too late, and no reason to keep what it had
+        either.context.queue.resume(job)
     either.context.storage.discard_if_marked(job, wait_seconds=0)  # as its worker does
     assert [path.name for path in result.parent.iterdir()] == ["lock"]
 

@@ -139,6 +139,11 @@ def test_exports_are_made_once_and_kept(
     moving = ready(api, moving.headers["Location"])
     assert moving["file_name"] == "sphere-to-star-partial.glb"
     assert b'"animations"' in api.http.get(moving["links"]["file"]).content
+    film = {"format": "png", "seconds": 0.5, "fps": 4, "easing": "linear", "repeat": "ping-pong"}
+    film = ready(api, api.http.post(path, json=film).headers["Location"])
+    assert film["file_name"] == "sphere-to-star-partial.zip", film
+    with zipfile.ZipFile(io.BytesIO(api.http.get(film["links"]["file"]).content)) as archive:
+        assert archive.namelist() == ["frame-0000.png", "frame-0001.png"]
     table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
     rows = api.http.get(table["links"]["file"]).text.split()
     assert rows == ["frame,s2t", "0,1.0", "1,3.0"]
@@ -167,6 +172,9 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
         {"format": "ply", "snap": True},
         {"format": "ply", "tracked": True},
         {"format": "ply", "units": "miles"},
+        {"format": "ply", "seconds": 1},
+        {"format": "gif", "seconds": 1, "frames": [0]},
+        {"format": "gif", "easing": "bounce"},
         {"colour": 1},
     ):
         answer = api.http.post(path, json=fault)
@@ -244,6 +252,11 @@ def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) 
         assert "csv" in [format.name for format in client.export_formats()]
         assert loaded(client.surface(job, format="stl"), "stl").is_watertight
         assert client.thumbnail(job).startswith(b"RIFF")
+        played = client.playback(job, seconds=1, fps=10, easing="linear", repeat="ping-pong")
+        assert (played.fps, played.repeat, len(played.frames)) == (10, True, 10)
+        assert (min(played.frames), max(played.frames)) == (0, pytest.approx(1, abs=0.3))
+        with pytest.raises(ServiceError, match="first shape"):
+            client.playback(job, repeat="loop")
         file = client.export(job, tmp_path / "cloud.npz", "npz", frames=[0])
         with np.load(file) as arrays:
             assert any(array.shape[-2:] == run.source_points.shape for array in arrays.values())

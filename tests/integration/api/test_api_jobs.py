@@ -14,7 +14,7 @@ import pytest
 from morph_engine import configure
 from morph_engine.morphing import prepare
 from morph_engine.results.spool import Spool
-from tests.integration.api.conftest import MORPH, Api
+from tests.integration.api.conftest import COARSE, MORPH, Api
 
 
 def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
@@ -30,6 +30,28 @@ def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
     assert either.http.get(answer.headers["Location"]).json()["name"] == "first"
     config = either.http.get(f"/v1/jobs/{job['id']}/config").json()
     assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-5")
+
+
+def test_a_job_through_several_shapes_counts_the_frames_of_all_legs(either: Api) -> None:
+    """They and their time are as many times more; `via` is shown, and absent in plain jobs."""
+    plain = either.submit(overrides=COARSE)
+    via = [{"shape": "torus"}, {"shape": "heart"}]
+    several = either.submit(overrides=COARSE, via=via)
+    assert (plain["via"], plain["progress"]["frames"]) == ([], 3)
+    assert (several["via"], several["via_names"]) == (via, ["torus", "heart"])
+    assert several["progress"]["frames"] == 9
+    stored = either.context.queue.get(plain["id"])
+    assert stored is not None and "via" not in stored.spec.model_dump(mode="json")
+    left = [job["progress"]["seconds_left"] for job in (plain, several)]
+    assert left[1] > left[0]
+    for fault in (
+        {"via": [{"shape": "spere"}]},
+        {"via": [{"mesh": "0" * 64}]},
+        {"via": 33 * [{"shape": "star"}]},
+        {"via": via, "overrides": {"landmarks": [{"source": [0, 0, 0], "target": [0, 0, 0]}]}},
+    ):
+        answer = either.http.post("/v1/jobs", json=MORPH | fault)
+        assert answer.status_code == 422 and answer.json()["remedy"], (fault, answer.text)
 
 
 def test_faults_of_a_request_are_found_before_it_is_queued(api: Api) -> None:

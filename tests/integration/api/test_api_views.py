@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,11 +13,16 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
-from morph_engine import configure
+from chamfer_morph.client import MorphClient
+from morph_engine import configure, srgb
+from morph_engine.geometry.mesh import load_mesh
 from morph_engine.morphing import prepare
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import write_result
 from tests.integration.api.conftest import COARSE, CUBE, Api
 
 
@@ -45,6 +51,26 @@ def test_both_ends_of_a_morph(api: Api, run: RunRecord) -> None:
     for end in ("source", "target", "source/mesh", "target/mesh"):
         answer = api.http.get(f"/v1/jobs/{waiting}/{end}")
         assert answer.status_code == 404 and answer.json()["remedy"]
+
+
+def test_the_shapes_of_each_leg(api: Api) -> None:
+    """A leg names its target; a field that looks at the target looks at that of the frame's leg."""
+    run = prepare("sphere", ["torus", "star"], configure("fast", COARSE | {"frames": 1}))
+    job = api.submit(overrides=COARSE, via=[{"shape": "torus"}], frames=1)["id"]
+    result = api.context.storage.result_path(job)
+    result.parent.mkdir()
+    with Spool.create(result, run) as spool:
+        for leg in (0, 1):
+            spool.append(leg, run.source_points, {}, leg=leg)
+    for query, leg in (("", 1), ("?leg=0", 0), ("?leg=1", 1)):
+        answer = api.http.get(f"/v1/jobs/{job}/target{query}")
+        assert answer.headers["Morph-Particles"] == str(len(run.target_points_of(leg)))
+    assert api.http.get(f"/v1/jobs/{job}/target/mesh?leg=2").status_code == 404
+    distances = [
+        api.http.get(f"/v1/jobs/{job}/frames/{leg}/fields/target_distance?format=f32").content
+        for leg in (0, 1)
+    ]
+    assert distances[0] != distances[1]
 
 
 def test_fields_of_a_frame(api: Api, run: RunRecord) -> None:
@@ -135,3 +161,84 @@ def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
         assert first.result().status_code == 200
     assert api.http.get(f"{path}2").status_code == 200
     assert {points_per_cell_edge for _, points_per_cell_edge, *_ in previews._cache} == {5, 2}
+
+
+def test_colours_of_a_job(api: Api, run: RunRecord, tmp_path: Path) -> None:
+    """A byte each for red, green and blue, in both shapes; none where no shape has colours.
+
+    A surface has them once the job has ended, though it was asked for before.
+    """
+    path = tmp_path / "ball.ply"
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=5)
+    directions = ball.vertices / 5
+    ball.visual = trimesh.visual.ColorVisuals(
+        ball, vertex_colors=np.rint(127 * (directions + 1)).astype(np.uint8)
+    )
+    ball.export(path)
+    colored = prepare(load_mesh(path), "sphere", configure("fast", COARSE | {"frames": 3}))
+    job = api.running(colored)
+    outward = colored.source_points / np.linalg.norm(colored.source_points, axis=1)[:, None]
+    outer = np.linalg.norm(colored.source_points, axis=1) > 2
+    for ended in (False, True):
+        if ended:
+            assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
+            result = api.context.storage.result_path(job)
+            with Spool.open(result, writable=False) as spool:
+                write_result(spool, status="partial")
+        answer = api.http.get(f"/v1/jobs/{job}/colors")
+        assert answer.headers["Morph-Reached"] == "0,3"
+        found = np.frombuffer(answer.content, np.uint8).reshape(2, -1, 3)
+        assert np.abs(found[0] - 127 * (outward + 1.0))[outer].mean() < 10
+        assert np.abs(found[1] - 255 * np.array(srgb.CLAY)).max() < 1
+        known = {"If-None-Match": answer.headers["ETag"]}
+        assert api.http.get(f"/v1/jobs/{job}/colors", headers=known).status_code == 304
+        with MorphClient(str(api.http.base_url)) as client:
+            assert np.array_equal(client.colors(job), found)
+        drawn = Image.open(io.BytesIO(api.http.get(f"/v1/jobs/{job}/thumbnail").content))
+        pixels = np.asarray(drawn.convert("RGBA"), float)
+        red, green, _, cover = np.moveaxis(pixels[pixels[..., 3] > 250], -1, 0)
+        assert cover.size > 1000 and np.abs(red - green).max() > 20  # clay has 10
+        surface = f"/v1/jobs/{job}/frames/1/surface"
+        ply = api.http.get(surface, params={"format": "ply"}).content
+        mesh = trimesh.load_mesh(trimesh.util.wrap_as_stream(ply), file_type="ply")
+        assert (mesh.visual.kind == "vertex") == ended
+        assert (b"COLOR_0" in api.http.get(surface).content) == ended
+    plain = api.http.get(f"/v1/jobs/{api.running(run)}/colors")
+    assert (plain.content, plain.headers["Morph-Shapes"]) == (b"", "0")
+    assert api.http.get(f"/v1/jobs/{api.submit()['id']}/colors").status_code == 404
+
+
+def test_a_posed_shape_in_previews_and_jobs(api: Api) -> None:
+    """An STL, which has z up, beside a sphere: turned, also as asked, and told how to come back."""
+    box = trimesh.creation.box((6.0, 8.0, 12.0))
+    box.apply_translation((100.0, 0.0, 0.0))
+    mesh = api.http.post("/v1/meshes?name=box.stl", content=box.export(file_type="stl")).json()
+    assert mesh["report"]["up"] == "z"
+    query: dict[str, Any] = {"points_per_cell_edge": 2, "source": "sphere", "format": "f32"}
+    answer = api.http.get(f"/v1/meshes/{mesh['id']}/particles", params=query)
+    extent = np.ptp(np.frombuffer(answer.content, "<f4").reshape(-1, 3), axis=0)
+    assert extent.argmax() == 1 and answer.headers["Morph-Up"] == "y"
+    assert "The target is given a quarter turn" in answer.headers["Morph-Turning"]
+
+    pose = {"target": {"rotate": [0, 0, 90], "move": [0, 1, 0]}}
+    query["placement"] = json.dumps(pose)
+    answer = api.http.get(f"/v1/meshes/{mesh['id']}/particles", params=query)
+    points = np.frombuffer(answer.content, "<f4").reshape(-1, 3)
+    assert np.ptp(points, axis=0).argmax() == 0 and abs(points[:, 1].mean() - 1) < 0.1
+    to_user = np.array(json.loads(answer.headers["Morph-To-User"]))
+    back = points @ to_user[:3, :3].T + to_user[:3, 3]
+    slack = 0.6 * to_user[0:3, 0:3].max()  # a spacing of half a grid unit
+    assert (back >= box.bounds[0] - slack).all() and (back <= box.bounds[1] + slack).all()
+    query["placement"] = '{"target": {"rotate": 3}}'
+    assert api.http.get(f"/v1/meshes/{mesh['id']}/particles", params=query).status_code == 422
+
+    overrides = COARSE | {"placement.target.rotate": [0, 0, 90], "placement.target.move": [0, 1, 0]}
+    job = api.submit(target={"mesh": mesh["id"]}, overrides=overrides)
+    assert job["placement"]["up"] == "y"
+    np.testing.assert_allclose(np.linalg.inv(job["placement"]["target"]), to_user, atol=1e-9)
+    config = api.http.get(f"/v1/jobs/{job['id']}/config").json()
+    assert config["placement"]["target"]["rotate"] == [0, 0, 90]
+    beyond = {"placement.target.move": [15, 0, 0]}
+    body = {"source": {"shape": "sphere"}, "target": {"mesh": mesh["id"]}, "overrides": beyond}
+    refused = api.http.post("/v1/jobs", json=body)
+    assert refused.status_code == 422 and "move it less" in refused.json()["remedy"]

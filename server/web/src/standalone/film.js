@@ -1,4 +1,5 @@
 /** Frames that came with the page: particles, and perhaps surfaces whose triangles stay the same. */
+import { lightOf } from "../viewer/own_colors.js";
 
 const LEVELS = 65535;
 
@@ -14,21 +15,19 @@ export async function unpack(about, packed) {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const buffer = await new Response(stream).arrayBuffer();
   let at = 0;
-  const take = (Type, length) => {
-    const array = new Type(buffer.slice(at, (at += length * Type.BYTES_PER_ELEMENT)));
-    return array;
-  };
-  const moving = ({ count, frames }) => {
-    const levels = frames.map(() => take(Uint16Array, 3 * count));
+  const take = (Type, length) => new Type(buffer.slice(at, (at += length * Type.BYTES_PER_ELEMENT)));
+  const summed = (Type, { count, frames }) => {
+    const levels = frames.map(() => take(Type, 3 * count));
     for (let i = 1; i < levels.length; i++) {
-      for (let j = 0; j < levels[i].length; j++) levels[i][j] += levels[i - 1][j]; // modulo 65536
+      for (let j = 0; j < levels[i].length; j++) levels[i][j] += levels[i - 1][j]; // modulo 65536, or 256
     }
     return levels;
   };
-  const points = about.points && { ...about.points, levels: moving(about.points) };
+  const moving = (what) => ({ levels: summed(Uint16Array, what), colours: what.colored && summed(Uint8Array, what) });
+  const points = { ...about.points, ...moving(about.points) };
   const surfaces = about.surfaces.map((surface) => ({
     ...surface,
-    levels: moving(surface),
+    ...moving(surface),
     faces: take(Uint32Array, 3 * surface.triangles),
   }));
   return new Film(about, points, surfaces);
@@ -44,21 +43,35 @@ export class Film {
     return this.#at(this.points, moment);
   }
 
-  /** @returns {{vertices: Float32Array, faces: Uint32Array}} the surface at a moment. */
+  /** @returns {Float32Array | null} linear colours of the particles, if they have any. */
+  light(moment) {
+    return this.#lightAt(this.points, moment);
+  }
+
+  /** @returns {{vertices: Float32Array, faces: Uint32Array, light: Float32Array | null}} the surface at a moment. */
   surface(moment) {
     const surface = this.surfaces.findLast(({ frames }) => frames[0] <= moment) ?? this.surfaces[0];
-    return { vertices: this.#at(surface, moment), faces: surface.faces };
+    return { vertices: this.#at(surface, moment), faces: surface.faces, light: this.#lightAt(surface, moment) };
+  }
+
+  #lightAt({ colours, frames }, moment) {
+    if (!colours) return null;
+    const [first, next, share] = around(colours, frames, moment);
+    return lightOf(first, next, share);
   }
 
   #at({ levels, frames }, moment) {
-    const within = Math.min(Math.max(moment - frames[0], 0), levels.length - 1);
-    const first = levels[Math.floor(within)];
-    const next = levels[Math.ceil(within)];
-    const share = within % 1;
+    const [first, next, share] = around(levels, frames, moment);
     const out = new Float32Array(first.length);
     for (let i = 0; i < out.length; i++) {
       out[i] = this.offset[i % 3] + (this.scale / LEVELS) * (first[i] + share * (next[i] - first[i]));
     }
     return out;
   }
+}
+
+/** What there is of the frames on both sides of a moment, and how far it is from the first to the second. */
+function around(all, frames, moment) {
+  const within = Math.min(Math.max(moment - frames[0], 0), all.length - 1);
+  return [all[Math.floor(within)], all[Math.ceil(within)], within % 1];
 }

@@ -21,19 +21,23 @@ async function start() {
   const { signal } = new AbortController();
   const scene = h("div", { class: "scene", tabindex: 0, role: "application", "aria-label": "3D view" });
   const choice = (label, options, change) => {
-    const select = h(
+    const on = { change: (event) => change(event.target.value) };
+    return h(
       "select",
-      { "aria-label": label, title: label, on: { change: () => change(select.value) } },
+      { "aria-label": label, title: label, on },
       options.map(([value, name]) => h("option", { value }, name)),
     );
-    return select;
   };
   let kind = film.surfaces.length ? "surface" : "points";
   let moment = 0;
   const show = (at) => {
     moment = at;
-    if (film.points) viewer.setFrame(Math.floor(at), film.positions(at));
-    viewer.setSurface(kind === "surface" ? film.surface(at) : null);
+    viewer.setFrame(Math.floor(at), film.positions(at));
+    const surface = kind === "surface" ? film.surface(at) : null;
+    viewer.setSurface(surface);
+    const light = surface ? surface.light : film.light(at);
+    if (light && surface) viewer.setSurfaceLight(light);
+    else if (light) viewer.setParticleLight(light);
     viewer.draw();
   };
   const choose = (name) => {
@@ -50,7 +54,7 @@ async function start() {
     show: async (index) => show(index),
     between: (share) => show(timeline.index + share),
   });
-  const several = film.points && film.surfaces.length;
+  const several = film.surfaces.length > 0;
   const toggle = (name) => several && choose(name);
   fill(
     document.getElementById("view"),
@@ -75,6 +79,7 @@ async function start() {
     ),
   );
   const viewer = new Viewer(scene, { reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches });
+  viewer.setUp(about.up);
   viewer.setSpacing(about.spacing);
   bindKeys(
     {
@@ -94,6 +99,7 @@ async function start() {
   );
   timeline.following = false;
   timeline.loop.checked = true;
+  if (about.timing) timeline.setPace(about.timing);
   timeline.grow(film.count);
   await timeline.go(0);
   document.body.dataset.ready = "true";

@@ -9,17 +9,23 @@ import { LEVELS } from "./quality.js";
 
 const PLACE = "morph-display";
 const EXTENT = 14; // half edge of the domain's safe part [grid units]
-const KEPT = ["colour", "target", "up"]; // for next time, as they are a matter of taste
+const KEPT = ["colour", "target"]; // for next time, as they are a matter of taste
 const SHAPES = [
   ["surface", "Surface"],
   ["points", "Particles"],
+];
+
+/** Colours that tell nothing: those of the shapes, where these have any, and that of the look alone. */
+const PLAIN_COLOURS = [
+  ["own", "Of the shapes"],
+  ["look", "Of the look"],
 ];
 
 /** How things are shown until somebody chooses otherwise. */
 export const USUAL = {
   shape: "surface",
   look: "clay",
-  colour: "none",
+  colour: "own",
   target: "none",
   axis: "none",
   offset: 0,
@@ -62,7 +68,7 @@ export class Display {
       { class: "display floating", id: "display", role: "group", "aria-label": "Display" },
       this.#choice("shape", "Show as", SHAPES, "S: surface, P: particles"),
       this.#choice("look", "Look", Object.entries(LOOKS).map(([name, { label }]) => [name, label]), "Material of the surface"),
-      this.#choice("colour", "Colour", [["none", "Of the look"], ...colours], "What the colours tell"),
+      this.#choice("colour", "Colour", [...PLAIN_COLOURS, ...colours], "What the colours tell"),
       this.#choice(
         "target",
         "Target",
@@ -123,6 +129,13 @@ export class Display {
     this.onChange(state);
   }
 
+  /** Have the scene upright as a job has put it, unless somebody has chosen otherwise. */
+  stand({ placement }) {
+    const up = placement?.up ?? USUAL.up;
+    if (!this.stood && up !== this.state.up) this.set({ up });
+    this.stood = true;
+  }
+
   /** Say how finely is drawn, see quality.js. */
   tell({ still, moving }) {
     this.drawn.textContent = still === moving ? `Drawn: ${still}` : `Drawn: ${still}; in motion: ${moving}`;
@@ -152,11 +165,6 @@ export class Display {
   }
 }
 
-/** Which axis stands upright, as was last chosen. */
-export function upright() {
-  return stored().up ?? USUAL.up;
-}
-
 function addressed() {
   const found = Object.entries(ADDRESSED).map(([name, values]) => [name, values.find((one) => one === query(name))]);
   return Object.fromEntries(found.filter(([, value]) => value));
@@ -165,7 +173,8 @@ function addressed() {
 function stored() {
   try {
     const found = JSON.parse(localStorage.getItem(PLACE)) ?? {};
-    return COLOURS[found.colour] || found.colour === "none" ? found : {};
+    const known = COLOURS[found.colour] || PLAIN_COLOURS.some(([name]) => name === found.colour);
+    return known ? Object.fromEntries(KEPT.filter((name) => name in found).map((name) => [name, found[name]])) : {};
   } catch {
     return {};
   }

@@ -1,11 +1,13 @@
 /** One job in the viewer: its frames, colours, target and surface, with words that tell the same. */
-import { pause, points } from "../api.js";
+import { colours, pause, points } from "../api.js";
 import { fill, h } from "../dom.js";
 import { number, percent } from "../format.js";
 import { COLOURS, decisive, range, values } from "./colors.js";
 import { Frames } from "./frames.js";
+import { followed } from "./landmarks.js";
 import { Legend } from "./legend.js";
 import { nearest } from "./nearest.js";
+import { OwnColors } from "./own_colors.js";
 import { Surfaces } from "./surfaces.js";
 
 const FIELDS_HELD = 40e6; // bytes
@@ -29,7 +31,13 @@ export class Panel {
   #sourceAsked = false;
   #rangeOf = "";
   #measured = Infinity; // frames that were known then
+  #own = null; // promise of the colours of the shapes, asked for when so many frames were known:
+  #ownOf = 0;
+  #ownShown = null;
   #targetShown = null;
+  #landmarks = [];
+  #followed = null; // the particle of each
+  #targets = new Map(); // by how they are shown and the leg that leads to them
 
   /**
    * @param {string} jobId
@@ -48,6 +56,7 @@ export class Panel {
     this.sharedRange = sharedRange;
     this.metrics = () => null;
     this.total = 0;
+    this.legs = 1;
     this.index = -1;
     this.surfaces = new Surfaces(jobId, signal);
     this.frames = new Frames(jobId, {
@@ -96,14 +105,45 @@ export class Panel {
     (await this.#ready)?.setSpacing(grid.dx / sampling.points_per_cell_edge);
   }
 
+  /**
+   * Show dots that go with the matter of landmarks.
+   *
+   * @param {object[]} landmarks see landmarks.js.
+   * @param {(positions: Float32Array, particles: number[]) => void} onMove hears where their particles are.
+   */
+  setLandmarks(landmarks, onMove) {
+    this.#landmarks = landmarks;
+    this.onMove = onMove;
+    if (this.index >= 0 || this.source) this.#showLandmarks();
+  }
+
+  async #showLandmarks() {
+    if (!this.#landmarks.length) return;
+    const { index } = this;
+    const { source } = await this.#given("displacement");
+    if (!source || index !== this.index) return;
+    this.#followed ??= followed(this.#landmarks, source);
+    const positions = index < 0 ? source : this.frames.positions(index);
+    if (!positions) return;
+    this.#viewer?.setMarks(
+      this.#landmarks.map((landmark, i) => {
+        const first = 3 * this.#followed[i];
+        return { at: [...positions.slice(first, first + 3)], index: landmark.index };
+      }),
+    );
+    this.onMove(positions, this.#followed);
+  }
+
   /** Forget all frames: the job began anew. */
   clear() {
     this.frames.clear();
     this.#fields.clear();
     this.surfaces.clear();
     this.source = undefined;
+    this.#followed = null;
     this.#sourceAsked = false;
     this.#rangeOf = "";
+    this.#own = this.#ownShown = null;
     this.index = -1;
     this.#turn += 1;
     this.#asked.abort();
@@ -124,7 +164,8 @@ export class Panel {
     this.index = index;
     viewer?.setFrame(index, this.frames.positions(index));
     this.describe();
-    if (viewer && this.#targetShown !== this.display.target) this.#showTarget(viewer);
+    this.#showLandmarks();
+    if (viewer && this.#targetShown !== this.#targetWanted()) this.#showTarget(viewer);
     if (viewer) await this.#paint(viewer, turn);
   }
 
@@ -136,14 +177,19 @@ export class Panel {
   set grows(grows) {
     const done = this.#grows && !grows;
     this.#grows = grows;
-    if (done) this.#recolour();
+    if (!done) return;
+    this.#own = null; // now that the end is known, to which colours lead
+    if (this.#ownShown) this.surfaces.clear();
+    this.#recolour();
   }
 
   /** Show particles on their way from the frame shown to the next one, at a share of it. */
   between(share) {
     if (this.#viewer?.kind !== "points" || matchMedia(LESS_MOTION).matches) return;
     const positions = this.frames.between(this.index, share);
-    if (positions) this.#viewer.setFrame(this.index, positions);
+    if (!positions) return;
+    this.#viewer.setFrame(this.index, positions);
+    if (this.#ownShown) this.#viewer.setParticleLight(this.#ownShown.after(this.index + 1 + share));
   }
 
   /** Show the source until there is a frame. */
@@ -161,6 +207,9 @@ export class Panel {
     viewer?.setSurface(null);
     viewer?.setFrame(-1, this.source);
     this.describe();
+    this.#showLandmarks();
+    const own = this.display.colour === "own" ? await this.#ownColours() : null;
+    if (own && turn === this.#turn && !this.frames.known) viewer?.setParticleLight(own.after(0));
   }
 
   /** Show the same frame in another way. */
@@ -175,7 +224,7 @@ export class Panel {
     const { axis, offset } = display;
     viewer.setCut(axis === "none" ? null : { axis, offset });
     const turning = ["colour", "shape", "up", "look"].some((name) => before[name] !== display[name]);
-    if (this.#targetShown !== display.target) await this.#showTarget(viewer);
+    if (this.#targetShown !== this.#targetWanted()) await this.#showTarget(viewer);
     if (turning) await this.#recolour();
   }
 
@@ -273,6 +322,18 @@ export class Panel {
       else viewer.setColors(values, scale);
       this.legend.show(values ? colour : null, scale);
     };
+    this.#ownShown = null;
+    if (colour === "own") {
+      const own = await this.#ownColours();
+      if (others() || colour !== this.display.colour) return;
+      if (!own) return set(null);
+      this.legend.show(null);
+      this.#ownShown = own;
+      if (mesh?.light) viewer.setSurfaceLight(mesh.light);
+      else if (mesh) viewer.setSurfaceLight(own.after(this.index + 1), this.#near(mesh));
+      else viewer.setParticleLight(own.after(this.index + 1));
+      return;
+    }
     if (!(colour in COLOURS)) return set(null);
     try {
       const [values, scale] = await this.#patiently("Computing the colours…", this.#coloured(colour));
@@ -284,6 +345,26 @@ export class Panel {
       set(null);
       this.#say(`${COLOURS[colour].label} is not available: ${error.message}`);
     }
+  }
+
+  /**
+   * Colours of the shapes. While the job computes, its last frame stands for its end, so that they are asked for
+   * again when there are twice as many frames.
+   *
+   * @returns {Promise<OwnColors | null>} null where there are none.
+   */
+  #ownColours() {
+    const known = Math.max(1, this.frames.known);
+    if (this.#own && (!this.#grows || known < 2 * this.#ownOf)) return this.#own;
+    this.#ownOf = known;
+    const asked = colours(this.jobId, { signal: this.signal })
+      .then((found) => found && new OwnColors(found.bytes, found.reached))
+      .catch(() => {
+        if (this.#own === asked) this.#own = null; // asked for again with the next frame
+        return null;
+      });
+    this.#own = asked;
+    return asked;
   }
 
   async #coloured(colour) {
@@ -326,8 +407,8 @@ export class Panel {
   }
 
   /** What colourings need besides the frame; where the source is unknown, frame 0 stands for it. */
-  async #given() {
-    const { colour, up } = this.display;
+  async #given(colour = this.display.colour) {
+    const { up } = this.display;
     if (!this.source && ["height", "displacement", "speed"].includes(colour)) {
       this.asking ??= points(`/jobs/${this.jobId}/source`, { signal: this.signal })
         .then(({ positions }) => positions)
@@ -370,20 +451,36 @@ export class Panel {
     return mesh.near;
   }
 
-  async #showTarget(viewer) {
+  /** @param {object} job whose frames are shown: how many there will be, and of how many legs. */
+  plan({ progress, via = [] }) {
+    this.total = progress.frames;
+    this.legs = via.length + 1;
+  }
+
+  /** Which target is to be seen, and how: that of the leg of the frame shown. */
+  #targetWanted() {
+    const leg = Math.floor((this.index * this.legs) / this.total) || 0;
     const { target } = this.display;
-    this.#targetShown = target;
+    return target === "none" ? target : `${target} ${Math.min(Math.max(leg, 0), this.legs - 1)}`;
+  }
+
+  async #showTarget(viewer) {
+    const wanted = this.#targetWanted();
+    const [kind, leg] = wanted.split(" ");
+    this.#targetShown = wanted;
     try {
-      if (target === "cloud") {
-        this.target ??= await points(`/jobs/${this.jobId}/target`, { signal: this.signal });
+      if (kind !== "none" && !this.#targets.has(wanted)) {
+        const options = { query: this.legs > 1 ? { leg } : {}, signal: this.signal };
+        const path = `/jobs/${this.jobId}/target`;
+        const found =
+          kind === "cloud"
+            ? await points(path, options)
+            : await (await import("./meshes.js")).mesh(`${path}/mesh`, options);
+        this.#targets.set(wanted, found);
       }
-      if (target === "wireframe" && !this.wireframe) {
-        const { mesh } = await import("./meshes.js");
-        this.wireframe = await mesh(`/jobs/${this.jobId}/target/mesh`, { signal: this.signal });
-      }
-      if (this.#targetShown !== target) return;
-      viewer.setTarget(target === "cloud" ? this.target : null);
-      viewer.setWireframe(target === "wireframe" ? this.wireframe : null);
+      if (this.#targetShown !== wanted) return;
+      viewer.setTarget(kind === "cloud" ? this.#targets.get(wanted) : null);
+      viewer.setWireframe(kind === "wireframe" ? this.#targets.get(wanted) : null);
     } catch (error) {
       if (this.signal.aborted) return;
       if (this.index < 0) this.#targetShown = null; // it comes with the first frame

@@ -21,9 +21,11 @@ const VERTEX = /* glsl */ `
   uniform vec2 depth;
   uniform vec2 range;
   uniform bool coloured;
+  uniform bool owned;
   uniform vec3 plain;
   uniform sampler2D colours;
   attribute float value;
+  attribute vec3 own;
   varying vec3 colour;
 
   void main() {
@@ -33,7 +35,7 @@ const VERTEX = /* glsl */ `
     if (dot(cut.xyz, position) > cut.w) {
       gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     }
-    colour = plain;
+    colour = owned ? own : plain;
     if (coloured && value == value) {
       float t = clamp((value - range.x) / max(range.y - range.x, 1e-9), 0.0, 1.0);
       colour = texture2D(colours, vec2((t * 255.0 + 0.5) / 256.0, 0.5)).rgb;
@@ -89,6 +91,7 @@ export class Particles extends Points {
           depth: { value: [0, 100] },
           range: { value: [0, 1] },
           coloured: { value: false },
+          owned: { value: false },
           plain: { value: [0.5, 0.5, 0.5] },
           colours: { value: table },
           opacity: { value: 0.3 },
@@ -117,8 +120,10 @@ export class Particles extends Points {
       this.geometry = new BufferGeometry();
       this.#add("position", positions.length, 3);
       this.#add("value", positions.length / 3, 1);
+      const own = new BufferAttribute(new Uint8Array(positions.length), 3, true);
+      this.geometry.setAttribute("own", own.setUsage(DynamicDrawUsage));
       this.geometry.setIndex(new BufferAttribute(shuffled(positions.length / 3), 1));
-      this.material.uniforms.coloured.value = false;
+      this.material.uniforms.coloured.value = this.material.uniforms.owned.value = false;
     }
     this.#fill("position", positions);
   }
@@ -130,6 +135,7 @@ export class Particles extends Points {
   setColors(values, scale) {
     const uniforms = this.material.uniforms;
     uniforms.coloured.value = values !== null && values.length === this.count;
+    uniforms.owned.value = false;
     if (!uniforms.coloured.value) return;
     this.#fill("value", values);
     uniforms.range.value = [scale.low, scale.high];
@@ -139,6 +145,14 @@ export class Particles extends Points {
       uniforms.colours.value.needsUpdate = true;
       this.shown = name;
     }
+  }
+
+  /** @param {Uint8Array} rgb a colour of its own for each particle, sRGB. */
+  setOwn(rgb) {
+    const uniforms = this.material.uniforms;
+    uniforms.coloured.value = false;
+    uniforms.owned.value = rgb.length === 3 * this.count;
+    if (uniforms.owned.value) this.#fill("own", rgb);
   }
 
   /** @param {number} share of the particles that are drawn, larger so as to fill the same space. */

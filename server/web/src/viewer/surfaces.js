@@ -61,7 +61,7 @@ export class Surfaces {
   }
 }
 
-/** Bytes of a surface with its normals and the particle of each vertex. */
-function size({ vertices, faces }) {
-  return (7 / 3) * vertices.byteLength + faces.byteLength;
+/** Bytes of a surface with its normals, its colours and the particle of each vertex. */
+function size({ vertices, faces, light }) {
+  return (7 / 3) * vertices.byteLength + faces.byteLength + (light?.byteLength ?? 0);
 }

@@ -25,6 +25,8 @@ export class Timeline {
     this.following = true;
     this.playing = false;
     this.moving = false; // whether what is shown is a part of a motion
+    this.share = 0; // of the way from this frame to the next that is shown
+    this.pace = null;
 
     this.toggle = iconButton("Play", "play", () => (this.playing ? this.rest() : this.play()), { key: "Space" });
     this.toggle.classList.add("primary");
@@ -81,6 +83,31 @@ export class Timeline {
     this.#reflect();
   }
 
+  /**
+   * Play in a time of its own, apart from how many frames there are.
+   *
+   * @param {{fps: number, frames: number[], repeat: boolean} | null} pace the frame, or the place between two, of
+   *   each picture; null for each frame as long as the others.
+   */
+  setPace(pace) {
+    const playing = this.playing;
+    this.stop();
+    this.pace = pace;
+    this.rate.hidden = pace !== null;
+    if (pace?.repeat) this.loop.checked = true;
+    if (playing) this.play();
+  }
+
+  /** The moment of a picture of the pace, which may lie between two pictures. */
+  momentAt(picture) {
+    if (!this.pace) return picture;
+    const { frames } = this.pace;
+    const before = Math.min(Math.floor(picture), frames.length - 1);
+    const after = Math.min(before + 1, frames.length - 1);
+    const moment = frames[before] + (picture - before) * (frames[after] - frames[before]);
+    return Math.min(moment, this.count - 1);
+  }
+
   /** @param {number} count of frames there are @param {boolean} lives whether more may come */
   grow(count, lives = false) {
     const more = count !== this.count;
@@ -121,16 +148,17 @@ export class Timeline {
     this.playing = true;
     this.following = false;
     this.#reflect();
-    let at = this.index >= this.count - 1 ? 0 : this.index;
+    let at = this.index >= this.count - 1 ? 0 : this.index; // in pictures of the pace, or in frames
+    if (this.pace) at = Math.max(0, this.pace.frames.findIndex((moment) => moment >= at));
     while (turn === this.#turn && !this.signal.aborted) {
-      await this.at(at);
+      await this.at(this.momentAt(at));
       const shown = performance.now(); // the clock rests while something is awaited
       await new Promise(requestAnimationFrame);
-      const last = this.count - 1;
+      const last = (this.pace ? this.pace.frames.length : this.count) - 1;
       if (at >= last && !this.loop.checked) break;
-      at += ((performance.now() - shown) / 1000) * Number(this.rate.value);
+      at += ((performance.now() - shown) / 1000) * (this.pace ? this.pace.fps : Number(this.rate.value));
       if (!this.loop.checked) at = Math.min(at, last);
-      else if (at >= this.count) at = 0; // the last frame lasts as long as the others
+      else if (at >= last + 1) at = 0; // the last frame lasts as long as the others
     }
     if (turn === this.#turn) this.rest();
   }
@@ -142,7 +170,9 @@ export class Timeline {
       this.moving = true;
       await this.#show(index, { playing: true });
     }
-    if (moment > index) this.between(moment - index);
+    const share = moment - index;
+    if (share || this.share) this.between(share);
+    this.share = share;
   }
 
   /** Stop, and stay at a whole frame. */
@@ -166,6 +196,7 @@ export class Timeline {
 
   #show(index, how) {
     this.index = index;
+    this.share = 0;
     this.#reflect();
     return index < 0 ? Promise.resolve() : this.show(index, how);
   }

@@ -7,6 +7,7 @@ import {
   DirectionalLight,
   LineBasicMaterial,
   LineSegments,
+  Matrix4,
   NeutralToneMapping,
   PerspectiveCamera,
   Plane,
@@ -21,9 +22,11 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { backdrop } from "./backdrop.js";
 import { CASTS, ContactShadow } from "./contact_shadow.js";
 import { LOOKS } from "./looks.js";
+import { Marks } from "./marks.js";
 import { roomLight } from "./materials.js";
 import { NONE } from "./nearest.js";
 import { Occlusion } from "./occlusion.js";
+import { shades } from "./own_colors.js";
 import { LEVELS, palette } from "./palettes.js";
 import { Particles } from "./particles.js";
 import { LEVELS as FINENESS, Quality } from "./quality.js";
@@ -108,7 +111,8 @@ export class Viewer {
     this.particles.layers.enable(CASTS);
     this.surface.mesh.layers.enable(CASTS);
     this.ghost.visible = this.surface.visible = false;
-    this.scene.add(this.camera, this.particles, this.ghost, this.surface, this.shadow);
+    this.marks = new Marks();
+    this.scene.add(this.camera, this.particles, this.ghost, this.surface, this.shadow, this.marks);
 
     this.#reducedMotion = reducedMotion;
     this.#onView = onView;
@@ -131,7 +135,7 @@ export class Viewer {
     const others = this.particles.count !== positions.length / 3;
     if (others && !this.#spaced) this.#space(spacing(positions));
     this.particles.setPositions(positions);
-    this.#changed();
+    this.transform(new Matrix4());
     if (!this.#touched && (others || !this.#contains(positions))) this.reset();
     this.draw();
   }
@@ -141,6 +145,50 @@ export class Viewer {
     this.setSurface(null);
     this.particles.visible = false;
     this.draw();
+  }
+
+  /** Show the particles elsewhere until the next frame, where a map leads [grid units]. */
+  transform(matrix) {
+    matrix.decompose(this.particles.position, this.particles.quaternion, this.particles.scale);
+    this.#changed();
+  }
+
+  /** @returns {number[]} the centre of the box around the particles [grid units]. */
+  get centre() {
+    return new Box3().setFromArray(this.particles.positions).getCenter(new Vector3()).toArray();
+  }
+
+  /** @param {Array<{at: number[], index: number}>} marks see marks.js. */
+  setMarks(marks) {
+    this.marks.set(marks);
+    this.draw();
+  }
+
+  /**
+   * The particle that is seen at a place of the window.
+   *
+   * @returns {number[] | null} where it is [grid units]; null beside all of them.
+   */
+  pick(clientX, clientY) {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const { positions } = this.particles;
+    const seen = new Vector3();
+    const pixels = height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
+    let nearest = null;
+    let least = Infinity;
+    for (let i = 0; i < positions.length; i += 3) {
+      seen.fromArray(positions, i).applyMatrix4(this.camera.matrixWorldInverse);
+      const depth = -seen.z;
+      if (depth >= least || depth <= this.camera.near) continue;
+      const reach = Math.max((this.particles.radius * pixels) / depth, 2);
+      seen.applyMatrix4(this.camera.projectionMatrix);
+      const x = left + ((seen.x + 1) / 2) * width;
+      const y = top + ((1 - seen.y) / 2) * height;
+      if (Math.hypot(x - clientX, y - clientY) > reach) continue;
+      least = depth;
+      nearest = i;
+    }
+    return nearest === null ? null : [...positions.slice(nearest, nearest + 3)];
   }
 
   /** @param {number} distance between neighbouring particles, which decides their size [grid units]. */
@@ -218,6 +266,21 @@ export class Viewer {
   setSurfaceColors(values, scale, near) {
     const plain = new Color(LOOKS[this.look].color);
     this.surface.setColors(values && vertexColors(values, scale, near, plain));
+    this.draw();
+  }
+
+  /** @param {Float32Array} light own colours of the particles, linear, three for each. */
+  setParticleLight(light) {
+    this.particles.setOwn(shades(light));
+    this.draw();
+  }
+
+  /**
+   * @param {Float32Array} light own colours, linear, three for each vertex of the surface, or for each particle.
+   * @param {Uint32Array} [near] the particle of each vertex; without it colours are of the vertices.
+   */
+  setSurfaceLight(light, near) {
+    this.surface.setColors(near ? picked(light, near, new Color(LOOKS[this.look].color)) : light);
     this.draw();
   }
 
@@ -417,6 +480,7 @@ export class Viewer {
       cloud.material.uniforms.pixels.value = pixels;
       cloud.material.uniforms.depth.value = [distance - radius, distance + radius];
     }
+    this.marks.fit((2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.canvas.clientHeight);
     if (this.#cast < share) this.#castShadow(radius, share);
     this.surface.refract(full);
     this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
@@ -505,6 +569,7 @@ export class Viewer {
     this.#occlusion?.dispose();
     this.surface.dispose();
     this.shadow.dispose();
+    this.marks.dispose();
     this.particles.dispose();
     this.ghost.dispose();
     this.renderer.dispose();
@@ -582,6 +647,16 @@ function vertexColors(values, { low, high, palette: name }, near, plain) {
     const share = Math.min(Math.max((value - low) / Math.max(high - low, 1e-9), 0), 1);
     const level = 4 * Math.round(share * (LEVELS - 1));
     out.set(shades.subarray(level, level + 3), 3 * v);
+  }
+  return out;
+}
+
+/** The colour of each vertex's particle; a plain one where none is near. */
+function picked(light, near, plain) {
+  const out = new Float32Array(3 * near.length);
+  for (let v = 0; v < near.length; v++) {
+    if (near[v] === NONE) plain.toArray(out, 3 * v);
+    else out.set(light.subarray(3 * near[v], 3 * near[v] + 3), 3 * v);
   }
   return out;
 }

@@ -42,6 +42,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       if (turned) await links.reset();
     },
   });
+  display.stand(jobs[0]);
   const overlay = new Overlay({ onSeek: (index) => timeline.choose(index), signal });
   const panels = ids.map((id, i) => {
     const panel = new Panel(id, {
@@ -136,7 +137,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
     follow(id, signal, (job, found) => {
       jobs[i] = job;
       rows[i] = found;
-      panels[i].total = job.progress.frames;
+      panels[i].plan(job);
       const before = panels[i].frames.known;
       panels[i].frames.grow(Math.max(job.progress.frame, found.length));
       const index = timeline.index;

@@ -10,11 +10,14 @@ import { jobFileName, jobName, lives, state as word } from "../../format.js";
 import { go, query, setQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { Display } from "../../viewer/display.js";
+import { Pace } from "../../viewer/pace.js";
 import { Panel } from "../../viewer/panel.js";
 import { stage } from "../../viewer/stage.js";
 import { Timeline } from "../../viewer/timeline.js";
 import { Downloads } from "./downloads.js";
+import { inGridUnits } from "../../viewer/landmarks.js";
 import { History } from "./history.js";
+import { landmarks } from "./landmarks.js";
 import { pictures } from "./pictures.js";
 import { settings } from "./settings.js";
 import { Summary } from "./summary.js";
@@ -45,6 +48,8 @@ export async function show(root, { id }, signal) {
       resting = setTimeout(() => signal.aborted || setQuery(FRAME, index === null ? null : index + 1), QUIET_MILLISECONDS);
     },
   });
+  const pace = new Pace({ jobId: id, timeline, signal: there });
+  display.element.append(pace.element);
   const summary = new Summary({ changed: () => changed(), signal });
   const history = new History();
   const downloads = new Downloads({ jobId: id, frame: () => Math.max(timeline.index, 0), signal });
@@ -64,13 +69,15 @@ export async function show(root, { id }, signal) {
   const onJob = (job) => {
     setTitle(jobName(job));
     if (known === null) begin(job);
+    display.stand(job);
     if (known && known !== job.state) announce(`The job is ${word(job.state).toLowerCase()}.`);
     known = job.state;
     summary.update(job);
     downloads.update(job);
+    pace.offer(job.state === "succeeded");
     panel.grows = lives(job.state);
     history.set({ job });
-    panel.total = job.progress.frames;
+    panel.plan(job);
     if (["preparing", "computing"].includes(job.progress.stage)) panel.showSource();
     if (job.progress.frame === 0 && panel.frames.known) onAnew();
     grow(job.progress.frame);
@@ -141,6 +148,12 @@ export async function show(root, { id }, signal) {
   try {
     const config = await get(`/jobs/${id}/config`, { signal });
     panel.setConfig(config);
+    const marked = inGridUnits(job, config);
+    if (marked.length) {
+      const list = landmarks(marked);
+      history.element.before(list.element);
+      panel.setLandmarks(marked, list.show);
+    }
     aside.append(settings(job, config, signal));
   } catch (error) {
     if (!(error instanceof Problem)) throw error;

@@ -47,10 +47,14 @@ export function pictures({ panel, timeline, name, signal }) {
     };
     return { advance, seconds: TURN_SECONDS };
   };
-  const trajectory = () => ({
-    advance: (share) => timeline.at(share * (timeline.count - 1)),
-    seconds: Math.max(1, timeline.count / Number(timeline.rate.value)),
-  });
+  const trajectory = () => {
+    const { pace, count } = timeline;
+    const pictures = pace ? pace.frames.length : count;
+    return {
+      advance: (share) => timeline.at(timeline.momentAt(share * (pictures - 1))),
+      seconds: Math.max(1, pictures / (pace ? pace.fps : Number(timeline.rate.value))),
+    };
+  };
   const picture = async () => {
     const viewer = await panel.viewer;
     if (viewer) saveBlob(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);

@@ -77,12 +77,17 @@ function table(caption, rows, usual) {
   );
 }
 
+function text(value) {
+  if (!Array.isArray(value)) return String(value);
+  return value.map((one) => (one !== null && typeof one === "object" ? JSON.stringify(one) : one)).join(", ");
+}
+
 /** Settings by dotted name, their values as text. */
 function flat(config, prefix = "", into = new Map()) {
   for (const [name, value] of Object.entries(config)) {
     const nested = value !== null && typeof value === "object" && !Array.isArray(value);
     if (nested) flat(value, `${prefix}${name}.`, into);
-    else into.set(prefix + name, Array.isArray(value) ? value.join(", ") : String(value));
+    else into.set(prefix + name, text(value));
   }
   return into;
 }

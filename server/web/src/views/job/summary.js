@@ -2,7 +2,7 @@
 import { announce } from "../../announce.js";
 import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
-import { count, duration, jobName, lives, number, plural, state as word, when } from "../../format.js";
+import { count, duration, jobName, jobShapes, lives, number, plural, state as word, when } from "../../format.js";
 import { go } from "../../navigation.js";
 import { inTitles, problemNotice } from "../../problem_notice.js";
 import { MAX_COMPARED } from "../compare/max_compared.js";
@@ -54,7 +54,7 @@ export class Summary {
         "p",
         { class: "quiet small" },
         [
-          job.name && `${job.source_name} → ${job.target_name}`,
+          job.name && jobShapes(job),
           `method ${job.method}`,
           job.outcome && `${count(job.outcome.particle_count)} particles`,
           `submitted ${when(job.created_at)}`,

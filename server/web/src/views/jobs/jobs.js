@@ -9,6 +9,7 @@ import { poll } from "../../polling.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { Filters } from "./filters.js";
+import { Queue } from "./queue.js";
 import { Row } from "./row.js";
 import { Selection } from "./selection.js";
 import "./jobs.css";
@@ -39,6 +40,7 @@ class JobList {
     this.signal = signal;
     this.rows = new Map();
     this.selection = new Selection();
+    this.queue = new Queue(() => this.refresh(), signal);
     this.trouble = h("div");
     this.body = h("tbody", { role: "rowgroup" });
     this.content = h("div", { class: "stack" });
@@ -54,6 +56,7 @@ class JobList {
         h("a", { class: "button primary", href: "/new" }, "New morph"),
       ),
       new Filters(params, (wanted) => this.filter(wanted)).element,
+      this.queue.element,
       this.trouble,
       this.content,
       this.paging,
@@ -77,7 +80,7 @@ class JobList {
       query: { state: state?.split(","), method, sweep, cursor, limit: PAGE },
       signal: this.signal,
     });
-    await this.addPositions(page.items);
+    await Promise.all([this.addPositions(page.items), this.queue.refresh()]);
     if (asked === this.asked) {
       this.draw(page);
       fill(this.trouble);

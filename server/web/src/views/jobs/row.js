@@ -43,7 +43,7 @@ export class Row {
     this.draw("state", [job.state], () =>
       h("span", { class: `badge ${job.state}` }, stateWord(job.state)),
     );
-    this.draw("progress", [job.state, job.progress, job.queue_position], () => progress(job));
+    this.draw("progress", [job.state, job.progress, job.queue_position, job.paused], () => progress(job));
     const metrics = job.outcome?.metrics ?? job.progress.metrics ?? {};
     this.draw("distance", [metrics.two_sided], () =>
       Number.isFinite(metrics.two_sided)
@@ -109,7 +109,8 @@ function name(job) {
 function progress(job) {
   const { frame, frames, seconds_left: left } = job.progress;
   if (job.state === "queued") {
-    return h("p", { class: "small" }, [place(job.queue_position), remaining(left)].filter(Boolean).join(", "));
+    const waits = job.paused ? ["Paused"] : [place(job.queue_position), remaining(left)];
+    return h("p", { class: "small" }, waits.filter(Boolean).join(", "));
   }
   if (job.state === "running") {
     const done = `${frame} of ${plural(frames, "frame")}`;

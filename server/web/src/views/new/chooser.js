@@ -4,6 +4,7 @@ import { get, upload } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { count, plural } from "../../format.js";
 import { problemNotice } from "../../problem_notice.js";
+import { Pose } from "./pose.js";
 import { Preview } from "./preview.js";
 
 const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf";
@@ -13,18 +14,21 @@ const EARLIER = 50;
 /** The choice of one shape, with what the service sees in it. */
 export class Chooser {
   /**
-   * @param {"source"|"target"} role
+   * @param {string} role "source", "target", or another word that no other chooser has
    * @param {string} label what it is to the user
    * @param {Array<{name: string}>} shapes that need no file
    * @param {object} heard
    * @param {(shape: object) => void} heard.changed hears {shape} or {mesh}
    * @param {() => void} heard.unsettled nothing is chosen until `changed`
-   * @param {(message: string) => void} heard.placed hears what the fit does to both shapes, or ""
+   * @param {(about: object) => void} heard.placed hears what is done to both shapes unasked, see Preview
+   * @param {(changes: object) => void} [heard.posed] hears settings of its pose; without, it has none
    * @param {AbortSignal} signal
+   * @param {string} [noun] what it is in a sentence
    */
-  constructor(role, label, shapes, { changed, unsettled, placed }, signal) {
-    Object.assign(this, { role, label, changed, unsettled, signal });
-    this.preview = new Preview(`Particles of the ${role}`, signal, placed);
+  constructor(role, label, shapes, { changed, unsettled, placed, posed }, signal, noun = role) {
+    Object.assign(this, { role, label, changed, unsettled, signal, noun });
+    this.preview = new Preview(`Particles of the ${noun}`, signal, placed);
+    this.pose = posed && new Pose(role, this.preview, posed);
     this.trouble = h("div");
     this.report = h("div");
     this.panels = {
@@ -54,6 +58,7 @@ export class Chooser {
       this.preview.count,
       this.report,
       this.preview.warnings,
+      this.pose?.element,
     );
     this.takeDrops();
   }
@@ -64,8 +69,9 @@ export class Chooser {
    * @param {object} shape the choice, which is not shown while another one is being made
    * @param {object} sampling how to fill it
    * @param {object} other the other end of the morph
+   * @param {object} [pose] how it is turned, scaled and moved
    */
-  show(shape, sampling, other) {
+  show(shape, sampling, other, pose) {
     if (this.missing()) return;
     const kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
     const address = shape.mesh ?? shape.shape;
@@ -82,9 +88,13 @@ export class Chooser {
         button.checked = button.value === address;
       }
     }
-    // a built-in shape stays as it is beside any other
+    this.shape = shape;
+    this.posed = pose;
+    if (pose) this.pose?.show(pose, this.upwards());
+    // two built-in shapes as they are do not look at each other
     const end = this.role === "source" ? "target" : "source";
-    const beside = shape.mesh ? { [end]: other.mesh ?? other.shape } : {};
+    const alone = !shape.mesh && !other.mesh && !sampling.placement;
+    const beside = alone ? {} : { [end]: other.mesh ?? other.shape };
     this.preview.show(shape, { ...sampling, ...beside });
   }
 
@@ -195,7 +205,7 @@ export class Chooser {
       id: `${this.role}-file`,
       accept: ACCEPTED,
       class: "visually-hidden",
-      "aria-label": `Mesh file of the ${this.role}`,
+      "aria-label": `Mesh file of the ${this.noun}`,
       on: { change: (event) => event.target.files[0] && this.take(event.target.files[0]) },
     });
     const change = (event) => {
@@ -252,7 +262,7 @@ export class Chooser {
     return h(
       "fieldset",
       null,
-      h("legend", { class: "visually-hidden" }, `Built-in shape of the ${this.role}`),
+      h("legend", { class: "visually-hidden" }, `Built-in shape of the ${this.noun}`),
       h(
         "div",
         { class: "row" },
@@ -307,11 +317,24 @@ export class Chooser {
       this.known.set(id, mesh);
       this.listEarlier();
       if (this.address === id) fill(this.report, report(mesh));
+      if (this.address === id && this.posed) this.pose?.show(this.posed, this.upwards());
     } catch (error) {
       if (this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.trouble, problemNotice(error));
     }
+  }
+
+  /** What the file tells about the upward axis. */
+  upwards() {
+    if (!this.shape.mesh) return "y";
+    const mesh = this.known.get(this.shape.mesh);
+    if (!mesh) return "";
+    const { up } = mesh.report;
+    const kind = mesh.name.split(".").at(-1).toLowerCase();
+    if (!up) return "not known, nothing is turned";
+    if (["glb", "gltf"].includes(kind)) return `${up}, as glTF says`;
+    return kind === "stl" ? `${up}, as usual for STL` : `${up}, its flat base`;
   }
 
   takeDrops() {
@@ -331,10 +354,11 @@ export class Chooser {
 
 function report({ name, report: seen }) {
   const parts = seen.component_count > 1 ? `, ${plural(seen.component_count, "part")}` : "";
+  const coloured = (seen.colors ?? "none") === "none" ? "" : ", coloured";
   return h(
     "p",
     { class: "small" },
     h("strong", null, name),
-    `: ${count(seen.face_count)} triangles${parts}, ${seen.watertight ? "closed" : "open"}`,
+    `: ${count(seen.face_count)} triangles${parts}, ${seen.watertight ? "closed" : "open"}${coloured}`,
   );
 }

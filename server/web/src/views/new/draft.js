@@ -2,6 +2,7 @@
 
 export const FIRST = {
   source: { shape: "sphere" },
+  via: [],
   target: { shape: "star" },
   methods: [],
   preset: "fast",
@@ -10,9 +11,10 @@ export const FIRST = {
 };
 
 /** The draft in the query of an address. */
-export function fromQuery({ source, target, methods, preset, name, overrides }) {
+export function fromQuery({ source, via, target, methods, preset, name, overrides }) {
   return {
     source: shape(source) ?? FIRST.source,
+    via: via?.split(",").map(shape).filter(Boolean) ?? FIRST.via,
     target: shape(target) ?? FIRST.target,
     methods: methods?.split(",").filter(Boolean) ?? [],
     preset: preset || FIRST.preset,
@@ -22,9 +24,10 @@ export function fromQuery({ source, target, methods, preset, name, overrides }) 
 }
 
 /** The query that stands for a draft. */
-export function toQuery({ source, target, methods, preset, name, overrides }) {
+export function toQuery({ source, via, target, methods, preset, name, overrides }) {
   return {
     source: address(source),
+    via: via.map(address).join(","),
     target: address(target),
     methods: methods.join(","),
     preset,
@@ -41,17 +44,18 @@ export function fromJob(job, config, preset) {
     if (path === "preset") continue;
     if (JSON.stringify(value) !== JSON.stringify(before[path])) overrides[path] = value;
   }
-  const { source, target, method, name } = job;
-  return { source, target, methods: [method], preset: job.preset, name, overrides };
+  const { source, via = [], target, method, name } = job;
+  return { source, via, target, methods: [method], preset: job.preset, name, overrides };
 }
 
 /** Where and what to send: a job, or a sweep of several methods. */
-export function toRequest({ source, target, methods, preset, name, overrides }) {
+export function toRequest({ source, via, target, methods, preset, name, overrides }) {
   const { seed, ...others } = overrides;
   const common = { preset, name, overrides: others };
   if (methods.length === 1) {
     const seeded = seed === undefined ? {} : { seed };
-    return ["/jobs", { ...common, ...seeded, source, target, method: methods[0] }];
+    const between = via.length ? { via } : {};
+    return ["/jobs", { ...common, ...seeded, source, ...between, target, method: methods[0] }];
   }
   const seeded = seed === undefined ? {} : { seeds: [seed] };
   return ["/sweeps", { ...common, ...seeded, sources: [source], targets: [target], methods }];

@@ -10,11 +10,16 @@ import { TITLES } from "../../setting_titles.js";
 import { Chooser } from "./chooser.js";
 import { fromJob, fromQuery, settingsOf, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
-import { settings } from "./schema.js";
+import { AS_IT_IS, posesOf } from "./pose.js";
+import { Landmarks } from "./landmarks.js";
+import { methodsWith, settings } from "./schema.js";
 import { Settings } from "./settings.js";
 import "./new.css";
 
 const FIT = "sampling.fit";
+const LANDMARKS = "landmarks";
+const FIRST_BETWEEN = { shape: "torus" };
+const MOST_BETWEEN = 8; // the service takes more
 
 export async function show(root, params, signal) {
   setTitle("New morph");
@@ -44,14 +49,26 @@ class Form {
     Object.assign(this, { draft, signal });
     this.key = freshKey();
     this.presets = new Map();
+    this.shapes = shapes;
     const heard = (role) => ({
-      changed: (shape) => this.changed({ [role]: shape }),
+      changed: (shape) => this.changed({ [role]: shape, ...this.withoutMarks(role, shape) }),
       unsettled: () => this.unsettled(),
-      placed: (message) => message && this.showFit(message),
+      placed: (about) => this.showPlacement(about),
+      posed: (changes) => this.setAll(changes),
     });
+    this.between = [];
+    this.more = h(
+      "button",
+      { type: "button", class: "compact", on: { click: () => this.changed({ via: [...this.draft.via, FIRST_BETWEEN] }) } },
+      "Add a shape between",
+    );
+    this.ends = h("div", { class: "shapes" });
     this.fitting = h("p", { class: "notice fitting", role: "status", hidden: true });
+    this.turning = h("p", { class: "notice fitting", role: "status", hidden: true });
     this.source = new Chooser("source", "From", shapes, heard("source"), signal);
     this.target = new Chooser("target", "To", shapes, heard("target"), signal);
+    this.landmarks = new Landmarks(this.source, this.target, (landmarks) => this.set(LANDMARKS, landmarks));
+    this.marking = methodsWith(LANDMARKS, schema);
     this.methods = new Methods(methods, (names) => this.changed({ methods: names }));
     this.settings = new Settings(settings(schema), TITLES, (path, value) => this.set(path, value));
     this.preset = this.presetField(presets);
@@ -69,8 +86,11 @@ class Form {
       "form",
       { class: "stack new", novalidate: true, on: { submit: (event) => this.send(event) } },
       h("h1", null, "New morph"),
-      h("div", { class: "shapes" }, this.source.element, this.target.element),
+      this.ends,
+      h("div", { class: "row" }, this.more),
       this.fitting,
+      this.turning,
+      this.landmarks.element,
       h("section", { class: "stack part" }, this.methods.element),
       h(
         "section",
@@ -112,11 +132,12 @@ class Form {
     this.draft = { ...this.draft, ...change };
     this.key = freshKey();
     replaceQuery(toQuery(this.draft));
-    if (change.source || change.target) this.unsettled();
+    if (change.source || change.target || change.via) this.unsettled();
+    this.showBetween();
     const before = this.draft;
     const values = await this.valuesOf(this.draft);
     if (this.signal.aborted || this.draft !== before) return; // a newer change shows itself
-    const { source, target, methods, preset, name, overrides } = this.draft;
+    const { source, via, target, methods, preset, name, overrides } = this.draft;
     this.settings.show(values, overrides, methods);
     const value = (path) => overrides[path] ?? values[path];
     const edge = value("sampling.points_per_cell_edge");
@@ -124,15 +145,44 @@ class Form {
     const sampling = { points_per_cell_edge: edge, fit };
     if (fit !== this.fit) this.hideFit();
     this.fit = fit;
-    this.source.show(source, sampling, target);
-    this.target.show(target, sampling, source);
+    const posed = (...roles) => ({ ...sampling, placement: posesOf(overrides, ...roles) });
+    this.source.show(source, posed("source", "target"), target, this.poseOf("source"));
+    this.target.show(target, posed("target", "source"), source, this.poseOf("target"));
+    this.between.forEach(({ chooser }, index) => chooser.show(via[index], posed("source"), source));
+    this.landmarks.show(overrides[LANDMARKS] ?? [], this.takesLandmarks());
     if (fit === "none" && (source.mesh || target.mesh)) this.showNoFit(FIT in overrides);
     this.methods.show(methods);
     this.preset.show(preset);
     if (document.activeElement !== this.name) this.name.value = name;
     const jobs = methods.length;
     fill(this.submit, jobs === 1 ? "Morph" : `Morph with ${jobs} methods`);
-    this.showCost(source, edge, fit, value("frames"));
+    this.showCost(source, edge, fit, value("frames") * (via.length + 1));
+  }
+
+  /** A card for each shape between source and target, as many as the draft has. */
+  showBetween() {
+    const { via } = this.draft;
+    if (this.ends.children.length === via.length + 2) return;
+    while (this.between.length > via.length) this.between.pop().ending.abort();
+    while (this.between.length < via.length) this.between.push(this.oneBetween(this.between.length));
+    const cards = this.between.map(({ chooser }) => chooser.element);
+    fill(this.ends, this.source.element, ...cards, this.target.element);
+    this.more.disabled = via.length >= MOST_BETWEEN;
+  }
+
+  oneBetween(index) {
+    const ending = new AbortController();
+    const changed = (shape) => this.changed({ via: this.draft.via.with(index, shape) });
+    const heard = { changed, unsettled: () => this.unsettled(), placed: () => {} };
+    const there = AbortSignal.any([this.signal, ending.signal]);
+    const noun = `shape number ${index + 2}`;
+    const chooser = new Chooser(`via-${index}`, `Through (${index + 1})`, this.shapes, heard, there, noun);
+    const remove = () => this.changed({ via: this.draft.via.toSpliced(index, 1) });
+    const label = `Remove ${noun}`;
+    chooser.element.append(
+      h("button", { type: "button", class: "compact", on: { click: remove } }, label),
+    );
+    return { chooser, ending };
   }
 
   /** What was said of the shapes holds no longer. */
@@ -143,37 +193,66 @@ class Form {
   }
 
   hideFit() {
-    this.fitting.hidden = true;
-    fill(this.fitting);
+    for (const notice of [this.fitting, this.turning]) {
+      notice.hidden = true;
+      fill(notice);
+    }
+  }
+
+  /** How an end is turned, scaled and moved. */
+  poseOf(role) {
+    const names = Object.keys(AS_IT_IS);
+    return Object.fromEntries(
+      names.map((name) => [name, this.draft.overrides[`placement.${role}.${name}`] ?? AS_IT_IS[name]]),
+    );
+  }
+
+  /** Say what is done to the shapes unasked. */
+  showPlacement({ message, turning, up }) {
+    if (this.source.missing() || this.target.missing()) return;
+    if (message && !this.between.length) this.showFit(message);
+    if (!turning) return say(this.turning, "");
+    const keep = () => this.setAll({ "placement.source.up": up, "placement.target.up": up });
+    say(this.turning, turning, "Leave both as they lie", keep);
   }
 
   /** Say what the fit does, with a way to leave the shapes as they are. */
   showFit(message) {
-    if (this.source.missing() || this.target.missing()) return;
     const keep = async () => {
       await this.set(FIT, "none");
       this.fitting.querySelector("button")?.focus(); // of the way back
     };
-    this.sayFit(message, "Keep shapes as they are", keep);
+    say(this.fitting, message, "Keep shapes as they are", keep);
   }
 
   showNoFit(overridden) {
     if (this.source.missing() || this.target.missing()) return;
     const back = () => this.set(FIT, overridden ? undefined : "auto");
-    this.sayFit("Shapes keep the size and place that they have in their files.", "Scale and centre them", back);
+    const text = "Shapes keep the size and place that they have in their files.";
+    say(this.fitting, text, "Scale and centre them", back);
   }
 
-  sayFit(text, label, act) {
-    if (this.fitting.firstChild?.textContent === text) return; // which may have the focus
-    const button = h("button", { type: "button", class: "compact", on: { click: act } }, label);
-    fill(this.fitting, h("span", null, text), " ", button);
-    this.fitting.hidden = false;
+  /** Points of another shape are none of this one. */
+  withoutMarks(role, shape) {
+    const { [LANDMARKS]: marks, ...overrides } = this.draft.overrides;
+    const same = JSON.stringify(shape) === JSON.stringify(this.draft[role]);
+    return marks && !same ? { overrides } : {};
+  }
+
+  /** Whether a chosen method heeds landmarks, which belong to one pair of shapes. */
+  takesLandmarks() {
+    const { methods, via } = this.draft;
+    return via.length === 0 && methods.some((name) => this.marking.has(name));
   }
 
   set(path, value) {
-    const { [path]: before, ...overrides } = this.draft.overrides;
-    if (value !== undefined) overrides[path] = value;
-    return this.changed({ overrides });
+    return this.setAll({ [path]: value });
+  }
+
+  /** Take settings by their paths, undefined for those of the preset. */
+  setAll(changes) {
+    const kept = Object.entries({ ...this.draft.overrides, ...changes }).filter(([, value]) => value !== undefined);
+    return this.changed({ overrides: Object.fromEntries(kept) });
   }
 
   /** Values of a preset; where methods differ, that of the first one chosen. */
@@ -234,7 +313,12 @@ class Form {
 
   async send(event) {
     event.preventDefault();
-    if (this.source.complains() || this.target.complains()) return;
+    const choosers = [this.source, ...this.between.map(({ chooser }) => chooser), this.target];
+    if (choosers.some((chooser) => chooser.complains())) return;
+    if (this.between.length && this.draft.methods.length > 1) {
+      const words = "A morph through several shapes takes one method: choose one, or remove the shapes between.";
+      return fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, words));
+    }
     const { wrong } = this.settings;
     if (wrong) {
       if (this.settings.element.contains(wrong.element)) this.settings.element.open = true;
@@ -245,7 +329,8 @@ class Form {
     this.submit.setAttribute("aria-disabled", "true");
     fill(this.trouble);
     try {
-      const overrides = this.settings.applying(this.draft.overrides);
+      const { [LANDMARKS]: marks, ...overrides } = this.settings.applying(this.draft.overrides);
+      if (marks && this.takesLandmarks()) overrides[LANDMARKS] = marks;
       const [path, body] = toRequest({ ...this.draft, overrides });
       const made = await post(path, body, { idempotencyKey: this.key, signal: this.signal });
       go(path === "/jobs" ? `/jobs/${made.id}` : `/?sweep=${made.id}`);
@@ -257,4 +342,13 @@ class Form {
       this.submit.removeAttribute("aria-disabled");
     }
   }
+}
+
+/** Say something with a way out of it, or nothing. */
+function say(notice, text, label, act) {
+  notice.hidden = !text;
+  if (!text) return fill(notice);
+  if (notice.firstChild?.textContent === text) return notice; // which may have the focus
+  const button = h("button", { type: "button", class: "compact", on: { click: act } }, label);
+  return fill(notice, h("span", null, text), " ", button);
 }

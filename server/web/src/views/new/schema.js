@@ -27,6 +27,12 @@ export function settings(schema) {
   return [...found, ...ofMethods.values()];
 }
 
+/** Names of the methods that have an option of this name. */
+export function methodsWith(option, schema) {
+  const options = schema.properties.method.oneOf.map((one) => resolve(one, schema).properties);
+  return new Set(options.filter((properties) => option in properties).map(({ name }) => name.const));
+}
+
 /** Settings of a section and of the sections in it; those right in it form a group of their own. */
 function leaves(properties, schema, group, groupMeaning = "", prefix = "") {
   return Object.entries(properties).flatMap(([name, property]) => {

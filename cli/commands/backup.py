@@ -1,0 +1,89 @@
+"""Commands that copy the whole service, and make it anew from the copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from chamfer_morph.cli.options import JsonOption, QuietOption
+from chamfer_morph.cli.tables import format_size
+
+if TYPE_CHECKING:
+    from chamfer_morph.server.backup.backup import BackupRecord
+
+PANEL = "The service"
+
+app: typer.Typer = typer.Typer()
+
+
+@app.command(rich_help_panel=PANEL)
+def backup(
+    folder: Annotated[
+        Path, typer.Argument(help="Where to; an earlier backup there is brought up to date.")
+    ],
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy meshes, jobs, results and the database of this machine's service into a folder.
+
+    The service may be at work: once restored, jobs that were running go on after the last frame
+    that was copied. It is found by the MORPH_* variables, as morph serve finds it. With an object
+    store the folder gets the database alone. For Postgres this runs its program pg_dump.
+    """
+    from chamfer_morph.server.backup.backup import back_up
+    from chamfer_morph.worker.settings import load_settings
+
+    with _counting(quiet=quiet) as on_copied:
+        record = back_up(load_settings(), folder, on_copied)
+    _print(record, folder, f"morph restore {folder}", as_json=as_json)
+
+
+@app.command(rich_help_panel=PANEL)
+def restore(
+    folder: Annotated[Path, typer.Argument(help="What morph backup has made.")],
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the service anew from a backup, in MORPH_DATA_DIR and an empty database.
+
+    Then start it: jobs that were running go on.
+    """
+    from chamfer_morph.server.backup.backup import restore as restore_service
+    from chamfer_morph.worker.settings import load_settings
+
+    with _counting(quiet=quiet) as on_copied:
+        record = restore_service(load_settings(), folder, on_copied)
+    _print(record, folder, "morph serve", as_json=as_json)
+
+
+@contextmanager
+def _counting(*, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """Show how much is copied; yields what to call with each file's size [bytes]."""
+    from rich.progress import TextColumn
+
+    from chamfer_morph.cli.progress_display import ProgressDisplay
+
+    copied = [0, 0]
+    with ProgressDisplay(TextColumn("{task.description}"), quiet=quiet) as display:
+        show = display.add_text()
+
+        def on_copied(size: int) -> None:
+            copied[:] = copied[0] + 1, copied[1] + size
+            show(f"{copied[0]:,} files copied, {format_size(copied[1])}")
+
+        yield on_copied
+        display.print(f"{copied[0]:,} files copied, {format_size(copied[1])}")
+
+
+def _print(record: BackupRecord, folder: Path, following: str, *, as_json: bool) -> None:
+    from chamfer_morph.cli.output import print_result
+
+    text = (
+        f"{folder}: {record.files:,} files, {format_size(record.bytes)}, and the database "
+        f"({record.database}), of {record.finished_at:%Y-%m-%d %H:%M} UTC\nnext: {following}"
+    )
+    print_result(record, text, as_json=as_json)

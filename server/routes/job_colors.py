@@ -1,0 +1,58 @@
+"""/v1/jobs/{id}/colors: the colours that particles have in each shape of a morph."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+
+from chamfer_morph.server.auth import AuthenticatedRoute
+from chamfer_morph.server.context import Context, ServerContext
+from chamfer_morph.server.http.array_encoding import BYTES
+from chamfer_morph.server.http.conditional import binary_responses, bytes_response
+from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
+from chamfer_morph.worker.frame_reader import read_colors
+from chamfer_morph.worker.queue import JobRecord
+
+router: APIRouter = APIRouter(
+    prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
+)
+
+HEADERS = {
+    "Morph-Particles": ("integer", "Number of particles."),
+    "Morph-Shapes": ("integer", "Number of shapes that the colours are of; 0 for no colours."),
+    "Morph-Reached": (
+        "string",
+        "Number of frames after which the matter has come to each of these shapes, with commas.",
+    ),
+}
+
+
+@router.get(
+    "/colors",
+    operation_id="getColors",
+    summary="Colours of the particles",
+    response_class=Response,
+    responses=binary_responses(
+        "Red, green and blue in sRGB, a byte each, particle after particle and shape after shape.",
+        [BYTES],
+        HEADERS,
+    ),
+)
+async def get_colors(job: VisibleJob, request: Request, context: Context) -> Response:
+    """The colours that particles have in each shape, where any shape of the morph has colours.
+
+    After a share s of the frames between two shapes, a particle has the colour
+    a + (3 s^2 - 2 s^3) (b - a) of both, in linear light. While a leg of the morph is computed, its
+    last frame stands for its end. Where no shape has colours there are no bytes.
+    """
+    return await context.compute(_colors, job, request, context)
+
+
+def _colors(job: JobRecord, request: Request, context: ServerContext) -> Response:
+    run = find_run_record(job, context)
+    found = read_colors(context.storage.result_path(job.id)) if run.colored else None
+    headers = {
+        "Morph-Particles": str(run.particle_count),
+        "Morph-Shapes": str(len(found.reached) if found else 0),
+        "Morph-Reached": ",".join(map(str, found.reached)) if found else "",
+    }
+    return bytes_response(request, found.rgb.tobytes() if found else b"", BYTES, headers)

@@ -1,0 +1,111 @@
+/** Notifications of the browser when one's jobs end, for who has asked for them by a click. */
+
+import { announce } from "./announce.js";
+import { get, pause } from "./api.js";
+import { h } from "./dom.js";
+import { jobName, lives, state as stateWord } from "./format.js";
+import { go } from "./navigation.js";
+
+const PLACE = "morph-notify";
+const PAUSE = 10_000; // [ms] between looks, also while nobody looks at the page
+const LISTED = 100; // the newest jobs, among which those are found that may end
+
+let watching = null;
+
+/** Whether this browser has notifications, which it has for safe addresses alone. */
+export function available() {
+  return "Notification" in window && isSecureContext;
+}
+
+/** Whether they are wanted and allowed. */
+export function notifies() {
+  return available() && localStorage.getItem(PLACE) === "on" && Notification.permission === "granted";
+}
+
+/** Begin to tell, if that was wanted before. */
+export function startNotifying() {
+  if (!notifies() || watching) return;
+  watching = new AbortController();
+  watch(watching.signal);
+}
+
+/** Tell from now on, or tell no more; the browser asks the person where it has not before. */
+export async function switchNotifying() {
+  const on = !notifies();
+  if (on && (await Notification.requestPermission()) !== "granted") return explain();
+  localStorage.setItem(PLACE, on ? "on" : "off");
+  watching?.abort();
+  watching = null;
+  startNotifying();
+  announce(on ? "You will be notified when a job of yours ends." : "No more notifications.");
+}
+
+async function watch(signal) {
+  const begun = new Date();
+  const unfinished = new Set();
+  while (!signal.aborted) {
+    try {
+      await look(begun, unfinished, signal);
+    } catch (error) {
+      if (signal.aborted) return;
+      if (error.name !== "Problem") throw error; // without an answer, it asks again later
+    }
+    await pause(PAUSE, signal);
+  }
+}
+
+/** See which jobs have ended since the last look. */
+async function look(begun, unfinished, signal) {
+  const { owner } = await get("/queue", { signal, quiet: true });
+  const { items } = await get("/jobs", { query: { owner, limit: LISTED }, signal, quiet: true });
+  const listed = new Map(items.map((job) => [job.id, job]));
+  for (const job of items) {
+    const seen = unfinished.has(job.id);
+    if (lives(job.state)) unfinished.add(job.id);
+    else if (seen || new Date(job.created_at) > begun) ended(job, unfinished);
+  }
+  for (const id of [...unfinished].filter((one) => !listed.has(one))) {
+    const job = await get(`/jobs/${id}`, { signal, quiet: true }).catch((error) => {
+      if (error.status !== 404) throw error;
+      unfinished.delete(id); // it was deleted
+      return null;
+    });
+    if (job && !lives(job.state)) ended(job, unfinished);
+  }
+}
+
+const told = new Set();
+
+function ended(job, unfinished) {
+  unfinished.delete(job.id);
+  const end = `${job.id} ${job.finished_at}`;
+  if (told.has(end) || job.state === "cancelled") return; // who cancels knows
+  told.add(end);
+  const note = new Notification(jobName(job), {
+    body: [stateWord(job.state), job.problem?.cause].filter(Boolean).join(": "),
+    tag: end, // one for all tabs
+  });
+  note.addEventListener("click", () => {
+    window.focus();
+    note.close();
+    go(`/jobs/${job.id}`);
+  });
+}
+
+/** The browser has been told to show none. */
+function explain() {
+  const dialog = h(
+    "dialog",
+    { "aria-labelledby": "blocked" },
+    h(
+      "form",
+      { method: "dialog", class: "stack" },
+      h("h2", { id: "blocked" }, "The browser shows no notifications"),
+      h("p", null, "They are blocked for this page. Allow them in the browser's settings of this page, and try again."),
+      h("div", { class: "actions" }, h("button", { class: "primary" }, "Close")),
+    ),
+  );
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+}

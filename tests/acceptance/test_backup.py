@@ -1,0 +1,109 @@
+"""A backup of a service at work, and the service made anew from it elsewhere."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from chamfer_morph.schemas import JobState
+from morph_engine.files import file_sha256
+
+
+def morph(environment, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a command with the variables of a cluster."""
+    return subprocess.run(
+        [sys.executable, "-m", "chamfer_morph", *map(str, arguments)],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.faults
+def test_backup_under_load(new_cluster, database_url, other_database_url, undisturbed, tmp_path):
+    """Finished jobs are the same to the byte; running and waiting ones go on elsewhere."""
+    here = new_cluster(database_url)
+    here.worker()
+    done = here.submit()
+    here.require_sound(done, undisturbed)
+    running, waiting = here.submit(), here.submit()
+    here.wait_for_frame(running, 5)
+    folder = tmp_path / "backup"
+    made = morph(here.environment, "backup", folder, "--json")
+    assert made.returncode == 0, made.stderr
+    assert json.loads(made.stdout)["files"] > 2
+    frames_then = here.frames(running)
+    here.close()
+
+    place = {"MORPH_DATA_DIR": str(tmp_path / "other"), "MORPH_DATABASE_URL": other_database_url}
+    restored = morph(here.environment | place, "restore", folder)
+    assert restored.returncode == 0, restored.stderr
+    there = new_cluster(other_database_url, tmp_path / "other")
+    copy = there.storage.result_path(done)
+    assert file_sha256(copy) == file_sha256(here.storage.result_path(done))
+    assert there.job(done).state is JobState.SUCCEEDED
+    there.start("janitor")
+    there.worker()
+    for job in (running, waiting):
+        there.require_sound(job, undisturbed)
+    assert there.frames(running)[:6] == frames_then[:6]
+
+
+def test_backup_is_brought_up_to_date(new_cluster, tmp_path):
+    """What has come is copied, what was deleted goes; all else is left as it is."""
+    service = new_cluster("")
+    jobs = service.storage.root / "jobs"
+    for name in ("kept", "deleted"):
+        (jobs / name / "derived").mkdir(parents=True)
+        (jobs / name / "log.txt").write_text(name)
+        (jobs / name / "derived" / "surface.npz").write_text("made again on request")
+    folder = tmp_path / "backup"
+    assert json.loads(morph(service.environment, "backup", folder, "--json").stdout)["files"] == 2
+    before = (folder / "jobs/kept/log.txt").stat()
+
+    (jobs / "deleted" / "log.txt").unlink()
+    (jobs / "new").mkdir()
+    (jobs / "new" / "log.txt").write_text("new")
+    made = morph(service.environment, "backup", folder)
+    assert made.returncode == 0, made.stderr
+    assert sorted(path.name for path in (folder / "jobs").iterdir()) == ["kept", "new"]
+    assert (folder / "jobs/kept/log.txt").stat().st_ino == before.st_ino
+    assert made.stderr.startswith("1 files copied")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("none", "There is a service already."),
+        ("no record", "has no complete backup."),
+        ("file lost", "missing or have changed"),
+        ("other kind", "This is a backup of postgres."),
+    ],
+)
+def test_restore_refuses(new_cluster, tmp_path, fault, message):
+    """A service in use, and what is not a whole backup of its kind."""
+    service = new_cluster("")
+    (service.storage.root / "jobs" / "one").mkdir()
+    (service.storage.root / "jobs" / "one" / "log.txt").write_text("text")
+    folder = tmp_path / "backup"
+    assert morph(service.environment, "backup", folder).returncode == 0
+    record = folder / "backup.json"
+    if fault == "no record":
+        record.unlink()
+    elif fault == "file lost":
+        (folder / "jobs/one/log.txt").unlink()
+    elif fault == "other kind":
+        record.write_text(record.read_text().replace("sqlite", "postgres"))
+    refused = morph(service.environment, "restore", folder)
+    assert refused.returncode == 2
+    assert message in refused.stderr
+
+
+def test_backup_refuses_a_folder_with_other_files(new_cluster, tmp_path):
+    """Nothing in it is touched."""
+    (tmp_path / "diary.txt").write_text("mine")
+    refused = morph(new_cluster("").environment, "backup", tmp_path)
+    assert refused.returncode == 2
+    assert "has files of another kind" in refused.stderr
+    assert (tmp_path / "diary.txt").read_text() == "mine"

@@ -1,0 +1,88 @@
+"""What an artist does with the add-on: install it, choose two objects, press the button.
+
+Run in Blender by `test_addon.py` with the zip and the address of a service; prints JSON.
+"""
+
+import json
+import sys
+
+import bpy
+
+PICTURE = 96
+
+
+def main(extension, address):
+    """Morph a ball into a cone, and try it without a service."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.extensions.package_install_files(filepath=extension, repo="user_default")
+    (name,) = (each for each in bpy.context.preferences.addons.keys() if "chamfer_morph" in each)
+    preferences = bpy.context.preferences.addons[name].preferences
+    ball, cone = a_ball_and_a_cone()
+    settings = bpy.context.scene.chamfer_morph
+    found = {"without target": bpy.ops.chamfer_morph.morph.poll()}
+    settings.source, settings.target = ball, cone
+    settings.frames, settings.detail, settings.seconds = 3, 2, 0.5
+    preferences.address = "http://127.0.0.1:9"
+    try:
+        bpy.ops.chamfer_morph.morph()
+    except RuntimeError as error:
+        found["without service"] = str(error)
+    preferences.address = address
+    found["outcome"] = list(bpy.ops.chamfer_morph.morph())
+    (result,) = (each for each in bpy.data.objects if each.name == "Ball to Cone")
+    scene = bpy.context.scene
+    ends = scene.frame_start, scene.frame_end
+    found |= {
+        "frames": ends,
+        "hidden": [ball.hide_get(), cone.hide_get()],
+        "cone": bounds(cone),
+        "shapes": [bounds(result, frame) for frame in range(ends[0], ends[1] + 1)],
+        "vertices": len(result.data.vertices),
+        "pictures": [picture(frame) for frame in ends],
+    }
+    sys.stdout.write(f"FOUND {json.dumps(found)}\n")
+
+
+def a_ball_and_a_cone():
+    """Two objects far from the origin, one of them with a modifier and turned."""
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=1.2, location=(10, 20, 30))
+    ball = bpy.context.object
+    ball.name = "Ball"
+    bpy.ops.mesh.primitive_cone_add(radius1=1.5, depth=4, location=(10, 20, 30), rotation=(0, 1, 0))
+    cone = bpy.context.object
+    cone.name = "Cone"
+    cone.modifiers.new("rounded", "BEVEL").width = 0.2
+    return ball, cone
+
+
+def bounds(shape, frame=None):
+    """Lowest and highest coordinates in the scene, at a frame."""
+    if frame is not None:
+        bpy.context.scene.frame_set(frame)
+    seen = shape.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    vertices = [seen.matrix_world @ vertex.co for vertex in seen.to_mesh().vertices]
+    return [[end(v[axis] for v in vertices) for axis in range(3)] for end in (min, max)]
+
+
+def picture(frame):
+    """Share of a rendered picture that the animated object covers."""
+    scene = bpy.context.scene
+    scene.frame_set(frame)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 1
+    scene.render.resolution_x = scene.render.resolution_y = PICTURE
+    scene.render.film_transparent = True
+    if scene.camera is None:
+        camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        camera.location = (10, 20, 45)  # cameras look down
+        scene.collection.objects.link(camera)
+        scene.camera = camera
+    for each in bpy.data.objects:
+        each.hide_render = each.name in ("Ball", "Cone")
+    scene.render.filepath = f"{bpy.app.tempdir}picture{frame}.png"
+    bpy.ops.render.render(write_still=True)
+    pixels = bpy.data.images.load(scene.render.filepath).pixels[:]
+    return sum(alpha > 0.5 for alpha in pixels[3::4]) / PICTURE**2
+
+
+main(*sys.argv[-2:])

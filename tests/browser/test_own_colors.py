@@ -1,0 +1,130 @@
+"""The colours of two textured meshes in the page, from those of the source to the target's."""
+
+from __future__ import annotations
+
+import io
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+from morph_engine.export import export
+from tests.browser.test_animated_glb import FPS, playing, validated
+from tests.browser.test_job_view import COMPILING, PATIENCE, changed, expect_frame, picture
+
+pytestmark = pytest.mark.browser
+
+FRAMES = 8
+
+
+def textured_ball(path: Path, left: str, right: str) -> Path:
+    """A ball with one colour at its left and another at its right, in a GLB file."""
+    image = Image.new("RGB", (64, 64), left)
+    image.paste(Image.new("RGB", (32, 64), right), (32, 0))
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
+    uv = (ball.vertices[:, :2] / 6 * 0.95 + 1) / 2
+    ball.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    ball.export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def colored(service, tmp_path_factory) -> str:
+    """A job from a ball in orange and blue to one in green and violet."""
+    folder = tmp_path_factory.mktemp("colored")
+    colors = {"source": ("#e08020", "#2050d0"), "target": ("#20b050", "#8030b0")}
+    meshes = {}
+    for role, pair in colors.items():
+        data = textured_ball(folder / f"{role}.glb", *pair).read_bytes()
+        answer = service.call("POST", f"/v1/meshes?name={role}.glb", content=data)
+        assert answer.is_success, answer.text
+        meshes[role] = {"mesh": answer.json()["id"]}
+    job = service.submit(name="in colour", frames=FRAMES, method="dco", **meshes)
+    service.wait_for(job, "succeeded", seconds=COMPILING)
+    return job
+
+
+def sides(page: Page) -> tuple[np.ndarray, np.ndarray]:
+    """Median colour to the left and to the right of the middle of the view, RGB."""
+    pixels = np.asarray(picture(page), float)
+    height, width = pixels.shape[:2]
+    reach = height // 8
+    rows = pixels[height // 2 - reach // 2 : height // 2 + reach // 2]
+    left, right = (rows[:, width // 2 + side - 20 : width // 2 + side] for side in (-reach, reach))
+    return np.median(left, axis=(0, 1)), np.median(right, axis=(0, 1))
+
+
+def show(page: Page, job: str, frame: int, shape: str) -> None:
+    """Open a frame, seen from the front."""
+    with page.expect_response(re.compile("/colors$")):
+        page.goto(f"/jobs/{job}?frame={frame}&shape={shape}&quality=plain")
+    expect_frame(page, frame, FRAMES)
+    if shape == "surface":
+        expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    page.locator(".scene").focus()
+    page.keyboard.press("1")
+
+
+@pytest.mark.parametrize("shape", ["points", "surface"])
+def test_particles_and_surface_carry_the_colours_of_the_shapes(page, colored, shape):
+    """Orange and blue are green and violet at the end; the look's own colour is a choice."""
+    show(page, colored, 1, shape)
+    (red, green, blue), (other_red, _, other_blue) = sides(page)
+    assert red > green > blue and other_blue > other_red
+    show(page, colored, FRAMES, shape)
+    (red, green, blue), (other_red, other_green, other_blue) = sides(page)
+    assert green > max(red, blue) and min(other_red, other_blue) > other_green
+    expect(page.get_by_label("Colour", exact=True)).to_have_value("own")
+    before = picture(page)
+    page.get_by_label("Colour", exact=True).select_option("look")
+    changed(page, before)
+    left, right = sides(page)
+    assert np.abs(left - right).max() < 60  # light alone
+
+
+def test_a_shape_without_colours_asks_for_none(page, service):
+    """The usual view of a job whose shapes have none is that of the look."""
+    job = service.submit(name="plain", frames=2, method="dco")
+    service.wait_for(job, "succeeded", seconds=COMPILING)
+    page.goto(f"/jobs/{job}?frame=2&shape=points&quality=plain")
+    expect_frame(page, 2, 2)
+    colour = page.get_by_label("Colour", exact=True)
+    expect(colour).to_have_value("own")
+    deadline = time.monotonic() + PATIENCE
+    shown = []
+    while len(shown) < 2 or shown[0] != shown[1]:  # drawn more finely once the machine has time
+        assert time.monotonic() < deadline, "The colours make a difference."
+        shown = []
+        for value in ("look", "own"):
+            colour.select_option(value)
+            shown.append(picture(page))
+
+
+@pytest.fixture(scope="module")
+def moving(service, colored, tmp_path_factory) -> Path:
+    """The same job as one mesh that moves, in a GLB file."""
+    path = tmp_path_factory.mktemp("moving") / "moving.glb"
+    result = service.data_dir / "jobs" / colored / "result.vtkhdf"
+    return export(result, path, "glb", tracked=True, fps=FPS)
+
+
+def test_three_shows_the_colours_of_a_moving_mesh(moving, browser):
+    """The Khronos validator finds nothing; orange and blue become green and violet."""
+    issues = validated(moving)
+    assert issues["messages"] == [] and issues["numErrors"] == 0
+    with playing(browser, moving) as page:
+        colors = []
+        for frame in (0, FRAMES - 1):
+            page.evaluate(f"shown({frame / FPS})")
+            pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), float)
+            colors.append(pixels[100, [70, 130]])
+    ((red, green, blue), (other_red, _, other_blue)), last = colors
+    assert red > green > blue and other_blue > other_red
+    (red, green, blue), (other_red, other_green, other_blue) = last
+    assert green > max(red, blue) and min(other_red, other_blue) > other_green

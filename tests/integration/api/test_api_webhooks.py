@@ -1,0 +1,102 @@
+"""Webhooks by REST: whose they are, what is refused, pages of their log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from chamfer_morph.schemas import JobState
+from tests.integration.api.conftest import Api
+
+URL = "https://8.8.8.8/morph"
+
+
+def keys(api: Api) -> list[dict[str, str]]:
+    """Headers of an admin and two others."""
+    headers: list[dict[str, str]] = []
+    for name, scope in (("root", "admin"), ("ann", "submit"), ("bob", "submit")):
+        body = {"name": name, "scopes": [scope]}
+        answer = api.http.post("/v1/keys", json=body, headers=headers[0] if headers else None)
+        headers.append({"Authorization": f"Bearer {answer.json()['secret']}"})
+    return headers
+
+
+def test_whose_they_are(either: Api) -> None:
+    """A key sees and deletes its own, an admin all; they go with their key."""
+    root, ann, bob = keys(either)
+    made = either.http.post("/v1/webhooks", json={"url": URL}, headers=ann)
+    assert made.status_code == 201 and made.json()["secret"].startswith("whsec_")
+    assert made.json()["states"] == [state.value for state in JobState if state.finished]
+    path = made.headers["Location"]
+    for headers, status in ((ann, 200), (bob, 404), (root, 200)):
+        assert either.http.get(path, headers=headers).status_code == status
+        assert len(either.http.get("/v1/webhooks", headers=headers).json()) == (status == 200)
+        answer = either.http.post(f"{path}/test", headers=headers)
+        assert answer.status_code == (202 if status == 200 else 404)
+    assert "secret" not in either.http.get(path, headers=ann).json()
+    assert either.http.delete(path, headers=bob).status_code == 404
+    assert either.http.delete("/v1/keys/ann", headers=root).status_code == 204
+    assert either.http.get("/v1/webhooks", headers=root).json() == []
+    own = either.http.post("/v1/webhooks", json={"url": URL}, headers=bob).headers["Location"]
+    assert either.http.delete(own, headers=bob).status_code == 204
+    assert either.http.get(own, headers=bob).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"url": "http://127.0.0.1/"}, "no public address"),
+        ({"url": "http://localhost:8000/"}, "no public address"),
+        ({"url": "http://169.254.169.254/latest"}, "no public address"),
+        ({"url": "http://[::ffff:10.0.0.1]/"}, "no public address"),
+        ({"url": "gopher://8.8.8.8/"}, "http"),
+        ({"url": "http://ann:word@8.8.8.8/"}, "password"),
+        ({"states": ["done"]}, "states"),
+        ({"states": []}, "states"),
+        ({"secret": "whsec_c2hvcnQ="}, "24 to 64"),
+        ({"retries": 3}, "retries"),
+    ],
+)
+def test_what_is_refused(api: Api, change: dict[str, Any], words: str) -> None:
+    """With the cause, and nothing is stored."""
+    answer = api.http.post("/v1/webhooks", json={"url": URL} | change)
+    problem = answer.json()
+    assert answer.status_code == 422, problem
+    assert words in problem["detail"] + problem["remedy"]
+    assert api.http.get("/v1/webhooks").json() == []
+
+
+def test_a_host_that_is_not_found_yet_is_taken(api: Api) -> None:
+    """Its messages wait, and the log says why."""
+    answer = api.http.post("/v1/webhooks", json={"url": "https://none.invalid/morph"})
+    assert answer.status_code == 201
+
+
+def test_how_many(make_api: Callable[..., Api]) -> None:
+    """A key may have so many."""
+    api = make_api(webhooks_per_key=2)
+    for status in (201, 201, 429):
+        answer = api.http.post("/v1/webhooks", json={"url": URL})
+        assert answer.status_code == status
+    assert "may have 2" in answer.json()["detail"]
+
+
+def test_pages_of_the_log(either: Api) -> None:
+    """Each message once, the newest first."""
+    path = either.http.post("/v1/webhooks", json={"url": URL}).headers["Location"]
+    sent = [either.http.post(f"{path}/test").json()["id"] for _ in range(5)]
+    found: list[dict[str, Any]] = []
+    cursor = None
+    while True:
+        query = {"limit": 2} | ({"cursor": cursor} if cursor else {})
+        page = either.http.get(f"{path}/deliveries", params=query).json()
+        found += page["items"]
+        cursor = page["next_cursor"]
+        if cursor is None:
+            break
+    assert sorted(each["id"] for each in found) == sorted(sent)
+    times = [each["created_at"] for each in found]
+    assert times == sorted(times, reverse=True)
+    assert {each["state"] for each in found} == {"pending"}

@@ -1,0 +1,277 @@
+"""Colours of a morph: those of its shapes at either end, mixed between, wherever it is shown.
+
+The tolerance at the ends is 2 in CIE 1976 colour difference; where it says "exact", a level of 255.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from morph_engine import srgb
+from morph_engine.export import export
+from morph_engine.geometry.mesh import load_mesh
+from morph_engine.geometry.mesh_colors import nearest_colors
+from morph_engine.morphing import prepare
+from morph_engine.presets import configure
+from morph_engine.rendering.pictures import video
+from morph_engine.results.playback import Playback
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.selection import Selection
+from morph_engine.results.spool import Spool
+from morph_engine.results.timeline import Timing
+from morph_engine.results.trajectory import Trajectory, write_result
+
+COUNT = 12
+"""Frames of a leg: in the first one, colours have gone 2 % of the way."""
+
+STILL_TO_SEE = 2.0
+"""CIE 1976 colour difference that is hardly seen."""
+
+SETTINGS = {"sampling.points_per_cell_edge": 1, "sampling.fit": "volume", "frames": COUNT}
+
+
+def picture(first, second, size=96):
+    """A smooth picture from one colour at its left to another at its right, darker downwards."""
+    across, down = np.meshgrid(np.linspace(0, 1, size), np.linspace(1, 0.6, size))
+    mixed = np.multiply.outer(1 - across, first) + np.multiply.outer(across, second)
+    return Image.fromarray(np.rint(mixed * down[..., None]).astype(np.uint8))
+
+
+def textured_ball(path, image, along=(1, 1, 1)):
+    """A mesh file of a ball, or an egg, under a picture that is projected along z."""
+    shape = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    uv = (shape.vertices[:, :2] / 5 * 0.9 + 1) / 2
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
+    shape.vertices *= along
+    shape.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    shape.export(path)
+    return load_mesh(path)
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A ball from orange to blue."""
+    image = picture((240, 140, 40), (40, 90, 220))
+    return textured_ball(tmp_path_factory.mktemp("ball") / "ball.glb", image)
+
+
+@pytest.fixture(scope="module")
+def egg(tmp_path_factory):
+    """An egg from green to violet."""
+    image = picture((40, 200, 90), (150, 60, 200))
+    return textured_ball(tmp_path_factory.mktemp("egg") / "egg.glb", image, (1, 1.5, 1))
+
+
+def steady(record, path, legs=1):
+    """A run whose matter goes from each shape to the next evenly, by an affine map."""
+    bounds = [
+        np.ptp(record.placement.stops[k].applied(shape).bounds, axis=0)
+        for k, shape in enumerate(record.stops)
+    ]
+    with Spool.create(path, record) as spool:
+        for leg in range(legs):
+            for frame in range(COUNT):
+                share = (frame + 1) / COUNT
+                size = bounds[leg] + share * (bounds[leg + 1] - bounds[leg])
+                positions = record.source_points * (size / bounds[0])
+                spool.append(spool.frame_count, positions.astype(np.float32), {"s2t": 1}, leg=leg)
+        write_result(spool, status="complete")
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(ball, egg, tmp_path_factory):
+    """The ball becomes the egg."""
+    record = prepare(ball, egg, configure("fast", SETTINGS))
+    return steady(record, tmp_path_factory.mktemp("run") / "egg.vtkhdf")
+
+
+@pytest.fixture(scope="module")
+def run(result):
+    """That run, open."""
+    with Trajectory(result) as opened:
+        yield opened
+
+
+def lab(rgb):
+    """CIE L*a*b* under D65 of sRGB, 0 to 255."""
+    light = srgb.linear(np.asarray(rgb) / 255)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    xyz = light @ np.transpose(to_xyz) / (0.9505, 1.0, 1.089)
+    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def differences(one, other):
+    """CIE 1976 colour differences of sRGB colours, 0 to 255."""
+    return np.linalg.norm(lab(one) - lab(other), axis=-1)
+
+
+def original(mesh, points):
+    """sRGB of a mesh at the points of its surface nearest to some points."""
+    return srgb.to_bytes(nearest_colors(points, mesh.vertices, mesh.faces, mesh.colors))
+
+
+def snapshots(run, *, surface, frames, units="user"):
+    """Some frames as they are exported."""
+    return list(Selection(run, frames, surface=surface, units=units).snapshots())
+
+
+@pytest.mark.parametrize("surface", [False, True])
+def test_both_ends_have_the_colours_of_the_originals(run, ball, egg, surface):
+    """The last frame everywhere; the first one has gone 2 % of the way already."""
+    (last,) = snapshots(run, surface=surface, frames=(COUNT - 1,))
+    assert differences(last.colors, original(egg, last.vertices)).max() < STILL_TO_SEE
+    begin = Selection(run, (0,), surface=surface, units="source")
+    (first,) = begin.snapshots()
+    assert np.median(differences(first.colors, original(ball, first.vertices))) < STILL_TO_SEE
+
+
+def test_a_film_begins_with_the_colours_of_the_source(run, ball):
+    """Its first picture shows the source itself, and its surface is as exact as the end's."""
+    playback = Playback(run, Timing(seconds=1, fps=2))
+    selection = Selection(run, (0,), surface=True, units="source")
+    first = next(iter(selection.played(playback)))
+    assert differences(first.colors, original(ball, first.vertices)).max() < STILL_TO_SEE
+
+
+def test_colours_between_are_mixed_in_linear_light(run):
+    """By 3 s^2 - 2 s^3 of what the particles have in both shapes, and ever nearer to the end."""
+    begin, end = srgb.from_bytes(run.colors)
+    for frame, snapshot in enumerate(snapshots(run, surface=False, frames=range(COUNT))):
+        s = (frame + 1) / COUNT
+        share = 3 * s**2 - 2 * s**3
+        expected = srgb.to_bytes(begin + share * (end - begin))
+        assert np.array_equal(snapshot.colors, expected)
+
+
+def test_surfaces_between_lie_between(run):
+    """Halfway the surface is about as far from the colours of one end as of the other."""
+    middle = COUNT // 2 - 1
+    (halfway,) = snapshots(run, surface=True, frames=(middle,), units="grid")
+    begin, end = (
+        original(mesh, mesh.bounds.mean(axis=0) + directions)
+        for mesh, directions in (
+            (run.run.fitted(role)[0], halfway.vertices * scale)
+            for role, scale in (("source", (1, 1.24, 1)), ("target", (1, 0.82, 1)))
+        )
+    )
+    expected = srgb.to_bytes((srgb.from_bytes(begin) + srgb.from_bytes(end)) / 2)
+    assert np.median(differences(halfway.colors, expected)) < STILL_TO_SEE
+
+
+def test_ply_and_glb_and_obj_have_the_colours(result, run, egg, tmp_path):
+    """PLY and OBJ in sRGB, GLB in linear light: read again, all are as the original."""
+    for name in ("last.ply", "last.glb", "last.obj"):
+        path = export(result, tmp_path / name, name[-3:], surface=True)
+        mesh = load_mesh(path)
+        points = mesh.vertices
+        assert differences(original(mesh, points), original(egg, points)).max() < STILL_TO_SEE
+    arrays = np.load(export(result, tmp_path / "run.npz", "npz"))
+    assert np.array_equal(arrays["colors"][-1], run.colors[-1])
+    points = trimesh.load(export(result, tmp_path / "points.ply", "ply", frames=[-1]))
+    assert np.array_equal(points.colors[:, :3], run.colors[-1])
+
+
+def test_a_moving_mesh_has_colours_that_move(result, egg, tmp_path):
+    """GLB: the first colours and the change to the last ones make the original; so does USD."""
+    path = export(result, tmp_path / "moving.glb", "glb", tracked=True, frames=[0, 5, COUNT - 1])
+    data = path.read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    header, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    (mesh, *_) = header["meshes"][-1:]
+    primitive = mesh["primitives"][0]
+
+    def array(index):
+        accessor = header["accessors"][index]
+        view = header["bufferViews"][accessor["bufferView"]]
+        kind, most = {
+            5122: (np.int16, 32767), 5123: (np.uint16, 65535), 5126: (np.float32, 1)
+        }[accessor["componentType"]]  # fmt: skip
+        start, stride = view["byteOffset"], view["byteStride"] // np.dtype(kind).itemsize
+        values = np.frombuffer(binary[start : start + view["byteLength"]], kind)
+        return values.reshape(accessor["count"], stride)[:, :3] / most
+
+    light = array(primitive["attributes"]["COLOR_0"]) + array(primitive["targets"][-1]["COLOR_0"])
+    places = array(primitive["attributes"]["POSITION"])
+    places = places + array(primitive["targets"][-1]["POSITION"])
+    node = header["nodes"][-1]
+    places = places * node["scale"][0] if node["scale"][0] else places
+    places = places + node["translation"]
+    assert differences(srgb.to_bytes(light), original(egg, places)).max() < STILL_TO_SEE
+    assert header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("kind", ["points", "surface", "tracked"])
+def test_usd_has_colours_at_each_time(result, egg, tmp_path, kind):
+    """As displayColor in linear light, a value at each point."""
+    pxr = pytest.importorskip("pxr.UsdGeom")
+    from pxr import Usd
+
+    options = {} if kind == "points" else {kind: True}
+    frames = [0, COUNT - 1]
+    path = export(result, tmp_path / "run.usdc", "usd", frames=frames, **options)
+    stage = Usd.Stage.Open(str(path))
+    (shape,) = [prim for prim in stage.Traverse() if prim.IsA(pxr.PointBased)]
+    primvar = pxr.Gprim(shape).GetDisplayColorPrimvar()
+    assert primvar.GetInterpolation() == "vertex"
+    assert primvar.GetTimeSamples() == [float(frame) for frame in frames]
+    points = np.array(pxr.PointBased(shape).GetPointsAttr().Get(COUNT - 1))
+    light = np.array(primvar.Get(COUNT - 1))
+    assert differences(srgb.to_bytes(light), original(egg, points)).max() < STILL_TO_SEE
+
+
+@pytest.mark.parametrize("surface", [False, True])
+def test_pictures_have_the_colours(result, tmp_path, surface):
+    """Orange at the left and blue at the right become green and violet."""
+    folder = video(result, tmp_path / "film", surface=surface, size=(64, 48), frames=[0, -1])
+
+    def sides(name):
+        pixels = np.asarray(Image.open(folder / name).convert("RGB"), float)
+        shown = pixels.min(axis=2) < 200
+        middle = shown[24].nonzero()[0]
+        left, right = middle[len(middle) // 5], middle[-len(middle) // 5]
+        return pixels[24, left], pixels[24, right]
+
+    names = sorted(path.name for path in folder.iterdir())
+    (red, green, blue), (red_right, _, blue_right) = sides(names[0])
+    assert red > green > blue and blue_right > red_right
+    (red, green, blue), (red_right, green_right, blue_right) = sides(names[-1])
+    assert green > max(red, blue) and min(red_right, blue_right) > green_right
+
+
+def test_a_shape_without_colours_is_of_clay(ball, tmp_path):
+    """And nothing is told, or stored, where no shape has any."""
+    path = tmp_path / "run.vtkhdf"
+    with Trajectory(steady(prepare(ball, "sphere", configure("fast", SETTINGS)), path)) as run:
+        clay = np.rint(255 * np.array(srgb.CLAY))
+        assert np.abs(run.colors[1] - clay).max() <= 1
+        assert np.array_equal(RunRecord.restore(run.run.document(), run.run.arrays()).stops[0]
+                              .colors.textures[0], ball.colors.textures[0])  # fmt: skip
+    path = tmp_path / "plain.vtkhdf"
+    with Trajectory(steady(prepare("sphere", "sphere", configure("fast", SETTINGS)), path)) as run:
+        assert run.colors is None
+        assert not [name for name in run.run.arrays() if "colors" in name]
+        assert all(one.colors is None for one in snapshots(run, surface=True, frames=(0,)))
+        assert b"colors" not in path.read_bytes()
+
+
+def test_each_leg_leads_from_the_colours_of_the_last_one(ball, egg, tmp_path):
+    """A loop ball, egg, ball: its colours pass the egg's and come back, without a jump."""
+    record = prepare(ball, [egg, ball], configure("fast", SETTINGS))
+    with Trajectory(steady(record, tmp_path / "loop.vtkhdf", legs=2)) as run:
+        assert run.colors.shape == (3, run.particle_count, 3)
+        assert differences(run.colors[0], run.colors[2]).max() < STILL_TO_SEE
+        shown = snapshots(run, surface=True, frames=(COUNT - 1, 2 * COUNT - 1))
+        for snapshot, mesh in zip(shown, (egg, ball), strict=True):
+            found = differences(snapshot.colors, original(mesh, snapshot.vertices))
+            assert found.max() < STILL_TO_SEE
+        playback = Playback(run, Timing(seconds=2, fps=4, repeat="loop"))
+        first, *_, last = Selection(run, (0,), surface=True).played(playback)
+        assert np.array_equal(first.colors, last.colors)
