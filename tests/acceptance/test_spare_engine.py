@@ -60,7 +60,7 @@ def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
     cluster.wait_until(lambda: not engine.is_running(), "the used engine to end")
     following = spare_of(cluster, worker)
     assert following != engine
-    second = cluster.submit(frames=1)
+    second = cluster.submit()
     assert cluster.engine(worker) == following
     cluster.wait_for_state(second, JobState.SUCCEEDED)
     assert cluster.storage.job_dir(second).joinpath("log.txt").exists()
@@ -109,7 +109,7 @@ def test_nothing_stays_behind(cluster, number):
     """Neither a spare process nor that of a job outlives the worker, however it ends."""
     worker = cluster.worker()
     spare_of(cluster, worker)
-    job = cluster.submit(frames=60)
+    job = cluster.submit(frames=120)
     cluster.wait_for_frame(job, 1)
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
     family = [cluster.engine(worker), cluster.spare(worker)]

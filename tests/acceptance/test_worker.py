@@ -15,6 +15,9 @@ from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
+LONG = 10_000
+"""Frames of a job that is still running whenever a test looks, on any machine."""
+
 
 def test_from_the_queue_to_the_result_on_another_worker(cluster, undisturbed):
     """A worker dies in the middle of a job; another one finishes it, soon and to the last bit."""
@@ -79,18 +82,18 @@ def test_idle_workers_are_told(new_cluster, own_postgres):
     """
     cluster = new_cluster(own_postgres.url, poll_seconds="3600")
     worker = cluster.worker()
-    first = cluster.submit()
+    first = cluster.submit(frames=LONG)
     cluster.wait_for_state(first, JobState.RUNNING)
-    next_one = cluster.submit()
+    next_one = cluster.submit(frames=LONG)
     time.sleep(SETTLING_SECONDS + 2 * SETTLING_PAUSE_SECONDS)
     cluster.queue.cancel(first)
     cluster.wait_for_state(next_one, JobState.RUNNING)
     cluster.queue.cancel(next_one)
     time.sleep(2)  # it is idle, and has looked
-    again = cluster.submit()
+    again = cluster.submit(frames=LONG)
     cluster.wait_for_state(again, JobState.RUNNING)
     other = cluster.worker(1)
-    cluster.wait_for_state(cluster.submit(), JobState.RUNNING)
+    cluster.wait_for_state(cluster.submit(frames=LONG), JobState.RUNNING)
     time.sleep(SETTLING_SECONDS + 2 * SETTLING_PAUSE_SECONDS)
     assert other.poll() is None
     cluster.start("janitor")
