@@ -22,6 +22,7 @@ from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.server.turns import Turns
 from chamfer_morph.worker.dbos_adapter import database
+from chamfer_morph.worker.frame_reader import Colors
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.sandbox.budget import Budget
@@ -36,7 +37,7 @@ Result = TypeVar("Result")
 INSPECTIONS = 2
 """Meshes of a key that are parsed at the same time: both shapes of a job."""
 
-PREVIEW_CACHE_BYTES = 64 << 20
+PREVIEW_CACHE_BYTES = COLORS_CACHE_BYTES = 64 << 20
 
 COMPUTATIONS = 1
 """Fields, thumbnails, meshes and the like computed at the same time, in this process."""
@@ -85,6 +86,11 @@ class ServerContext:
             size_of=lambda shape: shape.positions.nbytes,
         )
         self.surfaces: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
+        self.colors: SingleFlight[Colors | None] = SingleFlight(
+            turns.kind(writing),
+            cache_bytes=COLORS_CACHE_BYTES,
+            size_of=lambda colors: colors.rgb.nbytes if colors else 1,
+        )
         self.partial_results: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
         self.exports: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
         self._compute_limiter = CapacityLimiter(COMPUTATIONS)
@@ -112,7 +118,7 @@ class ServerContext:
     @property
     def _of_jobs(self) -> tuple[SingleFlight[Any], ...]:
         """What is computed from frames, by keys that begin with the id of the job."""
-        return self.surfaces, self.thumbnails, self.partial_results, self.exports
+        return self.surfaces, self.colors, self.thumbnails, self.partial_results, self.exports
 
 
 async def _context(request: Request) -> ServerContext:

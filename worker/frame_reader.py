@@ -94,7 +94,22 @@ def read_det_f(result: Path, index: int) -> NDArray[np.float32] | None:
 
 
 def read_colors(result: Path) -> Colors | None:
+    """Colours that the result file of a job has; None where it has none, or not yet all frames.
+
+    Raises:
+        ResultError: It is damaged.
+    """
+    if not result.is_file() or has_unsaved_frames(result):
+        return None
+    with Trajectory(result) as trajectory:
+        return _timed(trajectory, trajectory.colors)
+
+
+def look_up_colors(result: Path) -> Colors | None:
     """Colours of the particles of a job; None where no shape has any, or it has not begun.
+
+    While the job runs they are looked up in the meshes, which takes seconds for large ones, and
+    holds up all other threads.
 
     Raises:
         ResultError: It is damaged.
@@ -103,11 +118,7 @@ def read_colors(result: Path) -> Colors | None:
     def read(run: SpoolReader | Trajectory) -> Colors | None:
         from morph_engine.results.colors import particle_colors
 
-        colors = run.colors if isinstance(run, Trajectory) else particle_colors(run)
-        if colors is None:
-            return None
-        frames = [run.planned_frames_of(leg) for leg in range(len(colors) - 1)]
-        return Colors(colors, [0, *itertools.accumulate(frames)])
+        return _timed(run, run.colors if isinstance(run, Trajectory) else particle_colors(run))
 
     return _read(result, read)
 
@@ -166,6 +177,14 @@ def _read(result: Path, read: Callable[[SpoolReader | Trajectory], Read | None])
             if attempt == ATTEMPTS - 1:
                 raise
     return None
+
+
+def _timed(run: SpoolReader | Trajectory, colors: NDArray[np.uint8] | None) -> Colors | None:
+    """Colours with the numbers of frames after which they are reached."""
+    if colors is None:
+        return None
+    frames = [run.planned_frames_of(leg) for leg in range(len(colors) - 1)]
+    return Colors(colors, [0, *itertools.accumulate(frames)])
 
 
 def _count_of_result(result: Path) -> int:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from chamfer_morph.server.auth import AuthenticatedRoute
-from chamfer_morph.server.context import Context, ServerContext
+from chamfer_morph.server.context import Context
 from chamfer_morph.server.http.array_encoding import BYTES
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
+from chamfer_morph.server.particle_colors import find_colors
 from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
-from chamfer_morph.worker.frame_reader import read_colors
-from chamfer_morph.worker.queue import JobRecord
 
 router: APIRouter = APIRouter(
     prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
@@ -41,15 +40,11 @@ async def get_colors(job: VisibleJob, request: Request, context: Context) -> Res
     """The colours that particles have in each shape, where any shape of the morph has colours.
 
     After a share s of the frames between two shapes, a particle has the colour
-    a + (3 s^2 - 2 s^3) (b - a) of both, in linear light. While a leg of the morph is computed, its
-    last frame stands for its end. Where no shape has colours there are no bytes.
+    a + (3 s^2 - 2 s^3) (b - a) of both, in linear light. While a leg of the morph is computed, one
+    of its last frames stands for its end. Where no shape has colours there are no bytes.
     """
-    return await context.compute(_colors, job, request, context)
-
-
-def _colors(job: JobRecord, request: Request, context: ServerContext) -> Response:
-    run = find_run_record(job, context)
-    found = read_colors(context.storage.result_path(job.id)) if run.colored else None
+    run = await context.compute(find_run_record, job, context)
+    found = await find_colors(job, run, request, context)
     headers = {
         "Morph-Particles": str(run.particle_count),
         "Morph-Shapes": str(len(found.reached) if found else 0),

@@ -12,9 +12,10 @@ from chamfer_morph.server.auth import AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
+from chamfer_morph.server.particle_colors import find_colors
+from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame, find_run_record
 from chamfer_morph.server.routes.job_view import placement_of
-from chamfer_morph.worker.frame_reader import count_frames, read_colors
+from chamfer_morph.worker.frame_reader import Colors, count_frames
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
@@ -39,20 +40,21 @@ async def get_thumbnail(job: VisibleJob, request: Request, context: Context) -> 
     try:
         body = await anyio.Path(path).read_bytes()
     except FileNotFoundError:
+        run = await context.compute(find_run_record, job, context)
+        colors = await find_colors(job, run, request, context)
         body = await context.thumbnails.get(
-            (job.id, path.name), lambda _: _draw(path, job, context), request, job.owner
+            (job.id, path.name), lambda _: _draw(path, colors, job, context), request, job.owner
         )
     return bytes_response(request, body, WEBP)
 
 
-def _draw(path: Path, job: JobRecord, context: ServerContext) -> bytes:
+def _draw(path: Path, colors: Colors | None, job: JobRecord, context: ServerContext) -> bytes:
     """Draw the newest frame, and keep the picture."""
     from morph_engine.rendering.pictures import thumbnail
 
     frame = find_frame(-1, job, context)
     spacing = job.spec.config.spacing
     placement = placement_of(job)
-    colors = read_colors(context.storage.result_path(job.id))
     own = colors.at(frame.index) if colors else None
     up = placement.up if placement else "y"
     picture: bytes = thumbnail(frame.positions, spacing, own, up)

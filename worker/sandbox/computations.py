@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from chamfer_morph.schemas import Fit
+from chamfer_morph.worker.frame_reader import Colors
 from chamfer_morph.worker.sandbox import runner
 from chamfer_morph.worker.sandbox.budget import Budget
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions
@@ -32,6 +33,7 @@ from morph_engine.sections import PlacementConfig
 TASKS = "chamfer_morph.worker.tasks"
 
 SURFACE = Wording("The surface", "compute", "Run the job with fewer points per cell edge.")
+COLORS = Wording("The colours", "look up", "Wait until the job has ended.")
 RESULT = Wording("The result", "write", "Fetch single frames.")
 EXPORT = Wording(
     "The export",
@@ -162,6 +164,21 @@ class Sandbox:
         }
         limits = self._limits(threads=MAX_THREADS)
         runner.run(f"{TASKS}.reconstruct_surface", arguments, limits, SURFACE, computation)
+
+    def look_up_colors(self, job_id: str, computation: Computation) -> Colors | None:
+        """Colours of the particles of a job that runs; None where no shape has any.
+
+        Raises:
+            MorphError: A frame is damaged, or it takes too much memory or time.
+        """
+        arguments = {"result": self._storage.result_path(job_id)}
+        task = f"{TASKS}.look_up_colors"
+        answer = runner.run(task, arguments, self._limits(), COLORS, computation)
+        reached = answer.value
+        if not reached:
+            return None
+        rgb = np.frombuffer(answer.binary, np.uint8).reshape(len(reached), -1, 3)
+        return Colors(rgb, reached)
 
     def write_partial_result(self, job_id: str, computation: Computation) -> None:
         """See to it that the result of a job that rests has all its frames.
