@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.placement import Solid, place, placed
+from morph_engine.geometry.placement import place, placed
 from morph_engine.geometry.point_cloud import outer_radius
 from morph_engine.geometry.sampling import (
     FIT_REMEDY,
@@ -20,6 +20,7 @@ from morph_engine.geometry.sampling import (
     Fit,
     sample_lattice,
 )
+from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.topology import Opening, Topology, Vector
 from morph_engine.geometry.upward import Up
 from morph_engine.geometry.winding_number import winding_number

@@ -14,7 +14,7 @@ from chamfer_morph.server.database.api_keys import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from morph_engine.errors import MeshError
 from morph_engine.geometry import shapes
-from morph_engine.geometry.placement import Solid
+from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.upward import BY_FORMAT
 
 _one_at_a_time = threading.Lock()

@@ -26,8 +26,9 @@ from morph_engine import presets
 from morph_engine.config import MorphConfig
 from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import ConfigError, MeshError, ResourceError
-from morph_engine.geometry.placement import Placement, Solid, place
+from morph_engine.geometry.placement import Placement, place
 from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
+from morph_engine.geometry.solid import Solid
 from morph_engine.machine_memory import total_memory
 from morph_engine.results.run_record import config_at
 

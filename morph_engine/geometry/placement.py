@@ -3,59 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, Field
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry import rotation as rotations
+from morph_engine.geometry.automatic_fit import COMES_BACK, alone, automatic_fit, shape_names
 from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.sampling import (
-    FIT_HALF_EXTENT,
-    HALF_EXTENT,
-    Fit,
-    Similarity,
-    fitting_similarity,
-)
+from morph_engine.geometry.sampling import HALF_EXTENT, Fit, Similarity
+from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.upward import Up, turn_between
 from morph_engine.sections import PlacementConfig, PoseConfig
-
-LARGEST_FACTOR = 2.0
-"""A shape is of usual size where `volume` would scale it by at most this factor, up or down."""
-
-COMES_BACK = "; results come back in your own coordinates."
-
-REASON = ", to be filled with enough particles" + COMES_BACK
-
-
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """What placing a shape needs to know of it, in its own coordinates.
-
-    Attributes:
-        volume: Enclosed volume.
-        bounds: Lower and upper corner of the bounding box, shape [2, 3], float64.
-        built_in: Whether it is a built-in shape, in grid units, and not a file of the user's.
-        up: The axis that points upwards in it; None where nothing tells.
-    """
-
-    volume: float
-    bounds: npt.NDArray[np.float64]
-    built_in: bool = False
-    up: Up | None = None
-
-    @classmethod
-    def of(cls, mesh: Mesh) -> Solid:
-        """That of a mesh."""
-        return cls(mesh.volume, mesh.bounds, mesh.built_in, mesh.up)
-
-    def turned(self, turn: Similarity) -> Solid:
-        """The same turned, its bounding box being that of its turned box."""
-        return self if turn == Similarity() else replace(self, bounds=turn.box(self.bounds))
-
 
 _COORDINATES_OF: dict[Literal["both", "source", "target"], tuple[int, int]] = {
     "both": (0, 1),
@@ -131,15 +91,7 @@ def place(
     Then comes the fit, and at last what poses ask for beyond it. `none` guesses no axis to turn.
 
     `volume` and `extent` scale and centre each shape alone, see `sampling.fit_to_domain`; `none`
-    changes nothing. `auto` takes the first of these that leaves all shapes in the domain and of
-    usual size:
-
-    1. all as they are;
-    2. one scale and one shift for all, so that they stay where they are to each other;
-    3. one scale for all, each centred alone, so that their sizes stay as they are to each other;
-    4. each alone: as it is, or else as by `volume`.
-
-    Beside a built-in shape 2 and 3 are left out: it stays, and the other ones are fitted to it.
+    changes nothing; for `auto` see `automatic_fit`.
 
     Args:
         source: The source; None for a point cloud, which stays as it is.
@@ -169,13 +121,13 @@ def place(
     every = [(solid or solids[0]).turned(turn) for solid, turn in zip(given, turns, strict=True)]
     placed, message = [Similarity()] * len(given), ""
     if fit == "auto":
-        placed, message = _auto(every, half_extent)
+        placed, message = automatic_fit(every, half_extent)
     elif fit != "none":
-        placed = [_alone(solid, fit, FIT_HALF_EXTENT) for solid in every]
+        placed = [alone(solid, fit) for solid in every]
     stops = [
         _posed(similarity.after(turn), solid, pose, name, half_extent) if solid else Similarity()
         for similarity, turn, solid, pose, name in zip(
-            placed, turns, given, stances, _names(len(given)), strict=True
+            placed, turns, given, stances, shape_names(len(given)), strict=True
         )
     ]
     own = [index for index, solid in enumerate(every) if not solid.built_in]
@@ -226,7 +178,9 @@ def _posed(
 
 def _turning(ups: list[Up | None], upright: Up) -> str:
     """Which shapes stand on another axis than the domain, in words."""
-    turned = [name for name, up in zip(_names(len(ups)), ups, strict=True) if up and up != upright]
+    turned = [
+        name for name, up in zip(shape_names(len(ups)), ups, strict=True) if up and up != upright
+    ]
     if not turned:
         return ""
     names = " and ".join(turned)
@@ -237,11 +191,6 @@ def _turning(ups: list[Up | None], upright: Up) -> str:
         f"{'y' if upright == 'z' else 'z'} points upwards in {them} and {upright} in the {others}"
         + COMES_BACK
     )
-
-
-def _names(count: int) -> list[str]:
-    """Of so many shapes, as they stand in a sentence."""
-    return ["the source", *(f"shape {number}" for number in range(2, count)), "the target"]
 
 
 def _nearest_before(own: list[int], count: int) -> list[int]:
@@ -267,74 +216,3 @@ def _placement(stops: list[Similarity], coordinates_of: list[int], message: str 
 def placed(mesh: Mesh, similarity: Similarity) -> Mesh:
     """A mesh in grid units; itself where it stays as it is."""
     return mesh if similarity == Similarity() else similarity.applied(mesh)
-
-
-def _auto(solids: Sequence[Solid], half_extent: float) -> tuple[list[Similarity], str]:
-    """The maps of all shapes to grid units, and what is done in words."""
-    reach = FIT_HALF_EXTENT * min(1.0, half_extent / HALF_EXTENT)
-    usual = [_alone(solid, "volume", reach) for solid in solids]
-    unchanged = [Similarity()] * len(solids)
-
-    def suits(solid: Solid, alone: Similarity, similarity: Similarity) -> bool:
-        factor = alone.scale / similarity.scale
-        corners = similarity.apply(solid.bounds)
-        return bool(
-            1 / LARGEST_FACTOR <= factor <= LARGEST_FACTOR and np.abs(corners).max() <= half_extent
-        )
-
-    def all_suit(similarities: list[Similarity]) -> bool:
-        return all(map(suits, solids, usual, similarities))
-
-    if all_suit(unchanged):
-        return unchanged, ""
-    stays = [suits(*each, Similarity()) for each in zip(solids, usual, strict=True)]
-    if any(solid.built_in for solid in solids):
-        return _each_alone(usual, stays)
-    every = "Both shapes are" if len(solids) == 2 else "All shapes are"
-    bounds = np.stack([solid.bounds for solid in solids])
-    union = np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
-    together = [_centred(union, min(usual[0].scale, _scale_to(union, reach)))] * len(solids)
-    if all_suit(together):
-        text = f"{every} scaled by {_number(together[0].scale)} and moved alike"
-        return together, text + REASON
-    scale = min(usual[0].scale, *(_scale_to(solid.bounds, reach) for solid in solids[1:]))
-    one_scale = [_centred(solid.bounds, scale) for solid in solids]
-    if all_suit(one_scale):
-        text = f"{every} scaled by {_number(scale)} and each is centred"
-        return one_scale, text + REASON
-    return _each_alone(usual, stays)
-
-
-def _each_alone(usual: list[Similarity], stays: list[bool]) -> tuple[list[Similarity], str]:
-    """Each shape as it is, if it may stay, or else of usual size; and that in words."""
-    placed = [Similarity() if stay else alone for stay, alone in zip(stays, usual, strict=True)]
-    moved = [
-        f"{name} {'is scaled ' if not index else ''}by {_number(similarity.scale)}"
-        for index, (name, similarity) in enumerate(
-            (name, similarity)
-            for name, similarity, stay in zip(_names(len(placed)), placed, stays, strict=True)
-            if not stay
-        )
-    ]
-    text = ", ".join(moved[:-1]) + (" and " if len(moved) > 1 else "") + moved[-1]
-    end = " and centred" if len(moved) == 1 else ", and each is centred"
-    return placed, text[0].upper() + text[1:] + end + REASON
-
-
-def _alone(solid: Solid, fit: Fit, reach: float) -> Similarity:
-    return fitting_similarity(solid.volume, solid.bounds, mode=fit, reach=reach)
-
-
-def _scale_to(bounds: npt.NDArray[np.float64], reach: float) -> float:
-    """The scale that makes a box span the cube of half edge `reach`."""
-    return 2 * reach / float((bounds[1] - bounds[0]).max())
-
-
-def _centred(bounds: npt.NDArray[np.float64], scale: float) -> Similarity:
-    x, y, z = (-scale * bounds.sum(axis=0) / 2).tolist()
-    return Similarity(scale, (x, y, z))
-
-
-def _number(scale: float) -> str:
-    """A scale as people read it: 2,350, 3.1, 0.0034."""
-    return f"{scale:,.0f}" if scale >= 100 else f"{scale:.3g}"

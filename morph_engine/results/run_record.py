@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.mesh_colors import MeshColors
-from morph_engine.geometry.placement import Placement, Solid, place, placed
+from morph_engine.geometry.placement import Placement, place, placed
 from morph_engine.geometry.point_cloud import median_gap, outer_radius
 from morph_engine.geometry.sampling import Similarity
+from morph_engine.geometry.solid import Solid
 
 NEIGHBORS = 12
 """The neighbour whose distance tells how far particles stand apart."""

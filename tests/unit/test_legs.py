@@ -12,9 +12,10 @@ import pytest
 from morph_engine import Frame, Trajectory, configure, morph
 from morph_engine.comparison import compare, measure_path
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.geometry.placement import Solid, place
+from morph_engine.geometry.placement import place
 from morph_engine.geometry.sampling import Similarity
 from morph_engine.geometry.shapes import make
+from morph_engine.geometry.solid import Solid
 from morph_engine.metrics.path import neighbor_metrics
 from morph_engine.morphing import prepare
 from morph_engine.results.spool import SpoolReader

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from morph_engine.errors import MeshError
 from morph_engine.geometry import rotation as rotations
 from morph_engine.geometry.mesh import load_mesh
-from morph_engine.geometry.placement import Placement, Solid, place, placed
+from morph_engine.geometry.placement import Placement, place, placed
 from morph_engine.geometry.sampling import HALF_EXTENT, REFERENCE_VOLUME, Similarity
 from morph_engine.geometry.shapes import make, names
+from morph_engine.geometry.solid import Solid
 from morph_engine.morphing import prepare
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord

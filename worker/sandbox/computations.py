@@ -25,7 +25,7 @@ from chamfer_morph.worker.sandbox.runner import (
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.errors import MeshError, MorphError, ResourceError
-from morph_engine.geometry.placement import Solid
+from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.upward import Up
 from morph_engine.results.run_record import Role
 from morph_engine.sections import PlacementConfig

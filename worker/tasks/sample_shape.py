@@ -11,9 +11,10 @@ import numpy as np
 from chamfer_morph.schemas import Fit
 from chamfer_morph.worker.sandbox.runner import Answer
 from morph_engine.geometry.mesh import load_mesh
-from morph_engine.geometry.placement import Solid, place, placed
+from morph_engine.geometry.placement import place, placed
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
+from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.upward import Up
 from morph_engine.ingest import check_mesh
 from morph_engine.results.run_record import Role
