@@ -129,30 +129,23 @@ def export(
     from morph_engine import export as exports
 
     name = format or _format_by_suffix(out, exports.FORMATS)
-    chosen = parse_list(fields)
-    timing, frames = playback.timing(fps), parse_frames(selection.frames)
-    exports.check(
-        name,
-        surface=selection.surface,
-        snap=selection.snap,
-        tracked=tracked,
-        fields=chosen,
-        frames=frames,
-        timing=timing,
-    )
+    content: exports.Content = {
+        "frames": parse_frames(selection.frames),
+        "surface": selection.surface,
+        "snap": selection.snap,
+        "tracked": tracked,
+        "timing": playback.timing(fps),
+        "fields": parse_list(fields),
+    }
+    exports.check(name, **content)
     with _written_file(result, out, selection, service, format=name) as writing:
         exports.export(
             writing.result,
             out,
             name,
-            frames=frames,
-            surface=selection.surface,
-            snap=selection.snap,
-            tracked=tracked,
+            **content,
             fps=fps,
-            timing=timing,
             units=units,
-            fields=chosen,
             watch=writing.watch,
             tell=writing.tell,
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypedDict
 
 from morph_engine.errors import ConfigError, ResultError, unknown_name
 from morph_engine.export import csv, glb, html, npz, obj, ply, stl, usd, video
@@ -19,7 +20,9 @@ from morph_engine.results.selection import Selection, check_snap
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory, opened, writing
 
-__all__ = ["FORMATS", "Format", "Selection", "Units", "check", "export", "find", "suffix"]
+__all__ = [
+    "FORMATS", "Content", "Format", "Selection", "Units", "check", "export", "find", "suffix",
+]  # fmt: skip
 
 _ALL = (
     ply.FORMAT,
@@ -35,6 +38,17 @@ _ALL = (
 _VIDEOS = (video.MP4, video.WEBM, video.MOV, video.GIF, video.PNG)
 
 FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, *_VIDEOS)}
+
+
+class Content(TypedDict):
+    """What an export holds: arguments that `check` and `export` share."""
+
+    frames: Sequence[int] | None
+    surface: bool
+    snap: bool
+    tracked: bool
+    timing: Timing | None
+    fields: Sequence[str]
 
 
 def find(name: str) -> Format:

@@ -24,7 +24,7 @@ COMES_BACK = "; results come back in your own coordinates."
 REASON = ", to be filled with enough particles" + COMES_BACK
 
 
-def alone(solid: Solid, fit: Fit, reach: float = FIT_HALF_EXTENT) -> Similarity:
+def fit_alone(solid: Solid, fit: Fit, reach: float = FIT_HALF_EXTENT) -> Similarity:
     """The map of a shape to grid units by which it is scaled and centred alone.
 
     Args:
@@ -57,11 +57,11 @@ def automatic_fit(solids: Sequence[Solid], half_extent: float) -> tuple[list[Sim
         half_extent: Half edge of the usable cube [grid units].
     """
     reach = FIT_HALF_EXTENT * min(1.0, half_extent / HALF_EXTENT)
-    usual = [alone(solid, "volume", reach) for solid in solids]
+    usual = [fit_alone(solid, "volume", reach) for solid in solids]
     unchanged = [Similarity()] * len(solids)
 
-    def suits(solid: Solid, usually: Similarity, similarity: Similarity) -> bool:
-        factor = usually.scale / similarity.scale
+    def suits(solid: Solid, size: Similarity, similarity: Similarity) -> bool:
+        factor = size.scale / similarity.scale
         corners = similarity.apply(solid.bounds)
         return bool(
             1 / LARGEST_FACTOR <= factor <= LARGEST_FACTOR and np.abs(corners).max() <= half_extent
@@ -92,7 +92,7 @@ def automatic_fit(solids: Sequence[Solid], half_extent: float) -> tuple[list[Sim
 
 def _each_alone(usual: list[Similarity], stays: list[bool]) -> tuple[list[Similarity], str]:
     """Each shape as it is, if it may stay, or else of usual size; and that in words."""
-    placed = [Similarity() if stay else usually for stay, usually in zip(stays, usual, strict=True)]
+    placed = [Similarity() if stay else size for stay, size in zip(stays, usual, strict=True)]
     moved = [
         f"{name} {'is scaled ' if not index else ''}by {_number(similarity.scale)}"
         for index, (name, similarity) in enumerate(

@@ -138,7 +138,7 @@ def moments(
     rests = len(visited) - (timing.repeat != "none")  # what repeats rests once where it begins
     seconds = timing.seconds
     if seconds is None:
-        seconds = (visited_stations(visited) + 1) / timing.fps + rests * timing.hold
+        seconds = (_steps_between(visited) + 1) / timing.fps + rests * timing.hold
     moving = seconds - rests * timing.hold
     if moving <= 0:
         raise ConfigError(
@@ -165,7 +165,7 @@ def moments(
     return found
 
 
-def visited_stations(visited: Sequence[int]) -> int:
+def _steps_between(visited: Sequence[int]) -> int:
     """Number of steps between stations on a path from stop to stop."""
     return sum(abs(b - a) for a, b in pairwise(visited))
 

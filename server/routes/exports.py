@@ -213,15 +213,7 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     if frames and len(frames) == 1:
         name += f"-{frames[0]}"
     options = ExportOptions(id=derived_id(f"export\0{digest}"), name=name, **content)
-    check(
-        options.format,
-        surface=options.surface,
-        snap=options.snap,
-        tracked=options.tracked,
-        fields=options.fields,
-        frames=options.frames,
-        timing=options.timing,
-    )
+    check(options.format, **options.content)
     return options
 
 

@@ -41,6 +41,7 @@ from chamfer_morph.worker.queue import JobRecord
 router: APIRouter = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
 
 RETRY_AFTER = "1"
+"""When to look again at what was queued [s]."""
 
 EXAMPLES: dict[str, Any] = {
     "sphere to star": {
@@ -137,9 +138,7 @@ async def submit_job(
         else:
             body = await read_json(request, JobRequest, context.settings.body_bytes)
         job, new = await anyio.to_thread.run_sync(_submit, body, idempotency_key, caller, context)
-    response.status_code = 202 if new else 200
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    response.headers["Retry-After"] = RETRY_AFTER
+    accept(response, f"/v1/jobs/{job.id}", new=new)
     return job
 
 
@@ -245,9 +244,7 @@ async def fork_job(
     """
     await anyio.to_thread.run_sync(fetch, job, context)
     record, new = await context.compute(fork, job, body, idempotency_key, caller, context)
-    response.status_code = 202 if new else 200
-    response.headers["Location"] = f"/v1/jobs/{record.id}"
-    response.headers["Retry-After"] = RETRY_AFTER
+    accept(response, f"/v1/jobs/{record.id}", new=new)
     return await anyio.to_thread.run_sync(to_job, record, context)
 
 
@@ -267,6 +264,13 @@ def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
         context.queue.retry(job.id)
     context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
+
+
+def accept(response: Response, path: str, *, new: bool) -> None:
+    """Tell where to find what was queued, by this request or by an earlier one of the same key."""
+    response.status_code = 202 if new else 200
+    response.headers["Location"] = path
+    response.headers["Retry-After"] = RETRY_AFTER
 
 
 def _submit(

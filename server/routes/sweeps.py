@@ -19,7 +19,7 @@ from chamfer_morph.server.database.tables import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http.csv_table import csv_table
 from chamfer_morph.server.http.problems import ProblemError, not_found
-from chamfer_morph.server.routes.jobs import RETRY_AFTER, IdempotencyKey
+from chamfer_morph.server.routes.jobs import IdempotencyKey, accept
 from chamfer_morph.server.submission import (
     idempotency_conflict,
     idempotent_id,
@@ -72,9 +72,7 @@ def submit_sweep(
     If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
     """
     sweep, new = _submit(body, idempotency_key, caller, context)
-    response.status_code = 202 if new else 200
-    response.headers["Location"] = f"/v1/sweeps/{sweep.id}"
-    response.headers["Retry-After"] = RETRY_AFTER
+    accept(response, f"/v1/sweeps/{sweep.id}", new=new)
     return sweep
 
 

@@ -13,9 +13,9 @@ from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.particle_colors import find_colors
-from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame, find_run_record
+from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
 from chamfer_morph.server.routes.job_view import placement_of
-from chamfer_morph.worker.frame_reader import Colors, count_frames
+from chamfer_morph.worker.frame_reader import Colors, count_frames, read_run_record
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
@@ -40,8 +40,8 @@ async def get_thumbnail(job: VisibleJob, request: Request, context: Context) -> 
     try:
         body = await anyio.Path(path).read_bytes()
     except FileNotFoundError:
-        run = await context.compute(find_run_record, job, context)
-        colors = await find_colors(job, run, request, context)
+        run = await context.compute(read_run_record, context.storage.result_path(job.id))
+        colors = await find_colors(job, run, request, context) if run else None
         body = await context.thumbnails.get(
             (job.id, path.name), lambda _: _draw(path, colors, job, context), request, job.owner
         )

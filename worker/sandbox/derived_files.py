@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from chamfer_morph.schemas import Easing, Repeat, Sha256, Units
 from morph_engine.files import replacing
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from morph_engine.export import Content
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,22 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
             easing=self.easing,
             repeat=self.repeat,
         )
+
+    @property
+    def content(self) -> Content:
+        """What it holds, as `morph_engine.export` takes it.
+
+        Raises:
+            ConfigError: A number is out of range.
+        """
+        return {
+            "frames": self.frames,
+            "surface": self.surface,
+            "snap": self.snap,
+            "tracked": self.tracked,
+            "timing": self.timing,
+            "fields": self.fields,
+        }
 
 
 class StoredExport(BaseModel):

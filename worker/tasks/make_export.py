@@ -43,14 +43,9 @@ def run(
                 result,
                 path,
                 options.format,
-                frames=options.frames,
-                surface=options.surface,
-                snap=options.snap,
-                tracked=options.tracked,
+                **options.content,
                 fps=options.fps,
-                timing=options.timing,
                 units=options.units,
-                fields=options.fields,
                 watch=lambda done, total: report_progress(done / max(total, 1)),
             )
         except MorphError as error:

@@ -348,8 +348,8 @@ export class Panel {
   }
 
   /**
-   * Colours of the shapes. While the job computes, its last frame stands for its end, so that they are asked for
-   * again when there are twice as many frames.
+   * Colours of the shapes. While the job computes, one of its last frames stands for its end, so that they are
+   * asked for again when there are twice as many frames.
    *
    * @returns {Promise<OwnColors | null>} null where there are none.
    */
