@@ -107,6 +107,7 @@ def start(
         DeviceError: The device is not available, or cannot compute in this precision.
     """
     global _active
+    kernel_loading.shorten()
     wanted = Backend(_choose(device), threads, precision)
     if wanted == _active:
         return wanted
@@ -115,7 +116,6 @@ def start(
             f"The device {wanted.device} does not compute in float64.",
             "Set `device` to cpu or cuda, or use float32.",
         )
-    kernel_loading.shorten()
     array_lifetimes.begin_program()
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout

@@ -1,5 +1,8 @@
 """Kernels that load faster still tell where an error is, and still belong to their classes."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import taichi as ti
@@ -47,3 +50,14 @@ def test_kernels_of_classes_are_told_from_others():
     np.testing.assert_array_equal(values.to_numpy(), 2 * np.arange(5.0))
     halve(values)
     np.testing.assert_array_equal(values.to_numpy(), np.arange(5.0))
+
+
+def test_starting_imports_nothing_that_waits_for_its_first_use():
+    """Taichi's decorators look for source lines, and would wake every module on their way."""
+    program = (
+        "import sys, lazy_loader; from morph_engine import backend;"
+        "lazy_loader.load('trimesh'); lazy_loader.load('scipy');"
+        "backend.start('cpu'); print({'trimesh.base', 'scipy.version'} & {*sys.modules})"
+    )
+    printed = subprocess.check_output([sys.executable, "-c", program], text=True)
+    assert printed.strip() == "set()"
