@@ -85,7 +85,7 @@ $(BLENDER):
 	$(PYTHON) -m venv $(VENV)/blender
 	$(VENV)/blender/bin/python -m pip install --quiet --disable-pip-version-check bpy==4.2.0
 
-test-blender: install $(BLENDER)  ## the add-on in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
+test-blender: install $(BLENDER)  ## add-on and point caches in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
 	MORPH_BLENDER=$(abspath $(BLENDER)) $(BIN)/python -m pytest -m blender
 
 lint: install  ## style, types and import contracts

@@ -100,13 +100,13 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help="ply, obj, glb, stl, usd, npz, csv, html, mp4, webm, mov, gif, png; by the ending "
-            "if absent."
+            help="ply, obj, glb, stl, usd, pc2, npz, csv, html, mp4, webm, mov, gif, png; by the "
+            "ending if absent."
         ),
     ] = None,
     tracked: Annotated[
         bool,
-        typer.Option("--tracked", help="One mesh through all frames: .glb, .usdc or .html."),
+        typer.Option("--tracked", help="One mesh through all frames: .glb, .usdc, .html, or pc2."),
     ] = False,
     fps: Annotated[
         float | None,

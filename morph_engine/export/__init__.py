@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from morph_engine.errors import ConfigError, ResultError, unknown_name
-from morph_engine.export import csv, glb, html, npz, obj, ply, stl, usd, video
+from morph_engine.export import csv, glb, html, npz, obj, pc2, ply, stl, usd, video
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
@@ -30,6 +30,7 @@ _ALL = (
     glb.FORMAT,
     stl.FORMAT,
     usd.FORMAT,
+    pc2.FORMAT,
     npz.FORMAT,
     csv.FORMAT,
     html.FORMAT,
@@ -220,6 +221,11 @@ def check(
     if chosen.carries == {"surface"} and not tracked:
         raise ConfigError(
             f"{chosen.name} holds surfaces only.", "Ask for a surface, or use another format."
+        )
+    if chosen.carries == {"tracked"}:
+        raise ConfigError(
+            f"{chosen.name} holds a mesh that moves, and nothing else.",
+            "Ask for a tracked surface, or use another format.",
         )
     lacking = sorted(wanted - chosen.carries)[0]
     able = [name for name, known in FORMATS.items() if wanted <= known.carries]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from morph_engine.export.format import Format
-from morph_engine.results.selection import Selection
+from morph_engine.results.run_record import Units
+from morph_engine.results.selection import Selection, Snapshot
 
 POINTS_PER_LINE = 1000
 """An element goes on in the next line after a backslash; some programs limit lines."""
@@ -16,19 +18,25 @@ POINTS_PER_LINE = 1000
 def write(selection: Selection, path: Path) -> None:
     """Write one frame; arguments as for `Format.write`."""
     (snapshot,) = selection.snapshots()
-    with path.open("w", encoding="ascii", newline="\n") as file:
-        file.write(f"# frame {snapshot.frame}, {selection.units} units\n")
-        if snapshot.colors is None:
-            np.savetxt(file, snapshot.vertices, fmt="v %.9g %.9g %.9g")
-        else:
-            table = np.hstack([snapshot.vertices, snapshot.colors / 255])
-            np.savetxt(file, table, fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
-        if snapshot.faces is None:
-            file.write(_points(len(snapshot.vertices)))
-        else:
-            np.savetxt(file, snapshot.normals, fmt="vn %.6g %.6g %.6g")
-            corners = np.repeat(snapshot.faces + 1, 2, axis=1)
-            np.savetxt(file, corners, fmt="f %d//%d %d//%d %d//%d")
+    path.write_text(to_text(snapshot, selection.units), encoding="ascii", newline="\n")
+
+
+def to_text(snapshot: Snapshot, units: Units) -> str:
+    """The file of one frame."""
+    file = StringIO()
+    file.write(f"# frame {snapshot.frame}, {units} units\n")
+    if snapshot.colors is None:
+        np.savetxt(file, snapshot.vertices, fmt="v %.9g %.9g %.9g")
+    else:
+        table = np.hstack([snapshot.vertices, snapshot.colors / 255])
+        np.savetxt(file, table, fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
+    if snapshot.faces is None:
+        file.write(_points(len(snapshot.vertices)))
+    else:
+        np.savetxt(file, snapshot.normals, fmt="vn %.6g %.6g %.6g")
+        corners = np.repeat(snapshot.faces + 1, 2, axis=1)
+        np.savetxt(file, corners, fmt="f %d//%d %d//%d %d//%d")
+    return file.getvalue()
 
 
 def _points(count: int) -> str:

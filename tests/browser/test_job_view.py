@@ -6,6 +6,7 @@ import csv
 import io
 import re
 import time
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -483,6 +484,11 @@ def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service)
     opened.get_by_role("button", name="Export").click()
     cloud = trimesh.load(saved(opened, re.compile(r"^Save .*\.ply"), tmp_path))
     assert len(cloud.vertices) == particles
+    opened.get_by_label("Format").select_option("pc2")
+    expect(opened.get_by_label("Content")).to_be_hidden()  # there is nothing to choose
+    opened.get_by_role("button", name="Export").click()
+    with zipfile.ZipFile(saved(opened, re.compile(r"^Save .*\.zip"), tmp_path)) as archive:
+        assert {"surface.obj", "surface.pc2"} <= {*archive.namelist()}
 
 
 def test_the_numbers_are_a_table_too(opened):

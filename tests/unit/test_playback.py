@@ -229,6 +229,7 @@ def test_a_moving_mesh_keeps_the_time(loop: Path, tmp_path: Path) -> None:
         (lambda run, to: check("ply", timing=Timing(1)), "no playing time"),
         (lambda run, to: check("glb", surface=True, timing=Timing(1)), "tracked surface"),
         (lambda run, to: check("gif", frames=[1], timing=Timing(1)), "whole run"),
+        (lambda run, to: check("pc2", surface=True), "a mesh that moves"),
         (lambda run, to: CameraKey(1.5, View()), "from 0 to 1"),
         (lambda run, to: CameraKey(1, View(elevation=95)), "-90 to 90"),
         (lambda run, to: CameraPath(keys=2 * (CameraKey(0, View()),)), "same time"),

@@ -1,10 +1,13 @@
 """Tracked surfaces: the same triangles in all frames, and on the surface of each."""
 
+import io
 import json
 import struct
+import zipfile
 
 import numpy as np
 import pytest
+import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
@@ -262,9 +265,36 @@ def test_usd_has_triangles_without_time_samples(ring, tmp_path):
             assert visible == (before == (mesh is found.meshes[0]))
 
 
+def test_point_cache_moves_the_mesh_beside_it(ring, tmp_path):
+    """As other programs read both: vertices in the same order, the first sample where the mesh is.
+
+    Where the topology changes, each mesh has a cache of its own frames.
+    """
+    path = export(ring, tmp_path / "ring.zip", "pc2", tracked=True)
+    again = export(ring, tmp_path / "again.zip", "pc2", tracked=True)
+    assert path.read_bytes() == again.read_bytes()
+    found = track_surface(selection(ring, units="user"))
+    with zipfile.ZipFile(path) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    assert [*files] == ["surface.obj", "surface.pc2", "surface-after.obj", "surface-after.pc2"]
+    for name, mesh in zip(("surface", "surface-after"), found.meshes, strict=True):
+        cache = files[f"{name}.pc2"]
+        assert cache[:16] == b"POINTCACHE2\0\1\0\0\0"
+        count, samples = (int.from_bytes(cache[at : at + 4], "little") for at in (16, 28))
+        assert [*np.frombuffer(cache, "<f4", 2, 20)] == [mesh.frames[0], 1.0]
+        assert (samples, count) == mesh.vertices.shape[:2]
+        places = np.frombuffer(cache, "<f4", offset=32).reshape(samples, count, 3)
+        np.testing.assert_allclose(places, mesh.vertices, atol=1e-5)
+        still = trimesh.load(io.BytesIO(files[f"{name}.obj"]), "obj", process=False)
+        np.testing.assert_allclose(still.vertices, places[0], atol=1e-5)
+        np.testing.assert_array_equal(still.faces, mesh.faces)
+
+
 @pytest.mark.parametrize(
     ("name", "format", "options", "words"),
     [
+        ("a.zip", "pc2", {"frames": [0, 1, 3]}, "even distances"),
+        ("a.pc2", "pc2", {}, r"\.zip"),
         ("a.ply", "ply", {}, "glb"),
         ("a.csv", "csv", {}, "no tracked"),
         ("a.zip", "glb", {}, r"\.glb"),

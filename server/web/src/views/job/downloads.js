@@ -95,15 +95,17 @@ export class Downloads {
       return { select, field };
     };
     const chosen = () => formats.find((one) => one.name === format.select.value);
-    const moving = () => !content.field.hidden && content.select.value === "tracked";
+    const holds = (what) => content.select.value === what && chosen().carries.includes(what);
+    const moving = () => holds("tracked");
     const reflect = () => {
       const { carries, description, kind } = chosen();
       explain.textContent = `${description}.`;
-      content.field.hidden = !(carries.includes("points") && carries.includes("surface"));
       for (const option of content.select.options) {
         option.disabled = option.hidden = !carries.includes(option.value);
-        if (option.disabled && option.selected) content.select.value = "points";
       }
+      const possible = [...content.select.options].filter((option) => !option.disabled);
+      content.field.hidden = possible.length < 2;
+      if (possible.length && !holds(content.select.value)) content.select.value = possible[0].value;
       frames.field.hidden = kind === "table" || moving();
       frames.select.value = kind === "frame" ? "this" : "all";
       fields.field.hidden = !carries.includes("fields") || moving();
@@ -135,7 +137,7 @@ export class Downloads {
     const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
       event.preventDefault();
-      const { carries, kind } = chosen();
+      const { kind } = chosen();
       const tracked = moving();
       const one = kind !== "table" && !tracked && frames.select.value === "this";
       const state = h("div", { class: "stack" });
@@ -143,7 +145,7 @@ export class Downloads {
       await this.#export(state, {
         format: format.select.value,
         frames: one ? [this.frame()] : null,
-        surface: carries.includes("surface") && (content.field.hidden || content.select.value === "surface"),
+        surface: holds("surface"),
         tracked,
         units: units.select.value,
         fields: fields.field.hidden || !fields.select.value ? [] : [fields.select.value],
