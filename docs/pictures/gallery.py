@@ -41,13 +41,13 @@ VIEW = look(azimuth=30.0, elevation=20.0)
 def gallery(folder: Path) -> None:
     """Compute the morphs, draw `gallery.webp` and write `SOURCE-TARGET-PRESET.gif` for each.
 
-    Results are kept beside them; those that are there already are not computed again.
+    Results are kept beside them; those that are there as a whole are not computed again.
     """
     rows = []
     for source, target, preset in MORPHS:
         name = f"{source}-{target}-{preset}".replace(":", "_")
         result = folder / f"{name}.vtkhdf"
-        if not result.exists():
+        if not _is_complete(result):
             config = configure(preset, {"sampling.fit": "volume"})
             for frame in morph(source, target, config, out=result, overwrite=True):
                 print(f"{name}: frame {frame.index}", end="\r", flush=True)
@@ -55,6 +55,13 @@ def gallery(folder: Path) -> None:
         rows.append(row_of_surfaces(result, f"{source} to {target}, {preset}"))
         video(result, folder / f"{name}.gif", surface=True, size=(480, 360))
     Image.fromarray(np.concatenate(rows)).save(folder / "gallery.webp", quality=QUALITY)
+
+
+def _is_complete(result: Path) -> bool:
+    if not result.exists():
+        return False
+    with Trajectory(result) as trajectory:
+        return trajectory.status == "complete"
 
 
 def row_of_surfaces(result: Path, title: str) -> np.ndarray:
