@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from morph_engine.errors import ConfigError, ResultError, unknown_name
-from morph_engine.export import csv, glb, html, npz, obj, pc2, ply, stl, usd, video
+from morph_engine.export import csv, glb, html, npz, obj, pc2, ply, splat, stl, usd, video
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
@@ -32,6 +32,7 @@ _ALL = (
     usd.FORMAT,
     pc2.FORMAT,
     npz.FORMAT,
+    splat.FORMAT,
     csv.FORMAT,
     html.FORMAT,
 )

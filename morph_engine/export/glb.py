@@ -19,10 +19,9 @@ from morph_engine.export.gltf import (
     GltfFile,
     unit_normals,
 )
-from morph_engine.rendering import colormap
-from morph_engine.results.fields import FIELDS
+from morph_engine.export.vertex_light import vertex_light
 from morph_engine.results.selection import Selection, Snapshot
-from morph_engine.srgb import CLAY, Light, from_bytes, linear
+from morph_engine.srgb import CLAY, Light
 
 POINTS = 0
 TRIANGLES = 4
@@ -45,30 +44,21 @@ def to_bytes(snapshot: Snapshot) -> bytes:
     known = np.isfinite(vertices).all(axis=1)
     attributes = {"POSITION": file.array(vertices[known], bounds=True, target=ARRAY_BUFFER)}
     primitive = {"attributes": attributes, "mode": POINTS}
-    colors = _colors(snapshot)
-    if colors is not None:
-        attributes["COLOR_0"] = file.array(colors[known], normalized=True, target=ARRAY_BUFFER)
+    light = vertex_light(snapshot)
+    if light is not None:
+        colors = _opaque(light[known])
+        attributes["COLOR_0"] = file.array(colors, normalized=True, target=ARRAY_BUFFER)
     if snapshot.faces is not None:
         normals = unit_normals(snapshot.normals)
         attributes["NORMAL"] = file.array(normals, target=ARRAY_BUFFER)
         corners = snapshot.faces.reshape(-1).astype(np.uint32)
         primitive["indices"] = file.array(corners, target=ELEMENT_ARRAY_BUFFER)
         primitive["mode"] = TRIANGLES
-    primitive["material"] = file.material("matter", CLAY if colors is None else WHITE)
+    primitive["material"] = file.material("matter", CLAY if light is None else WHITE)
     name = "particles" if snapshot.faces is None else "surface"
     mesh = file.append("meshes", {"name": name, "primitives": [primitive]})
     file.node({"name": name, "mesh": mesh, "extras": {"frame": snapshot.frame}})
     return file.to_bytes()
-
-
-def _colors(snapshot: Snapshot) -> npt.NDArray[np.uint16] | None:
-    """Linear RGBA by the first field, or those of the shapes, shape [v, 4]."""
-    for name, values in snapshot.fields.items():
-        diverging = FIELDS[name].diverging
-        low, high = colormap.limits(values, diverging=diverging)
-        chosen = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
-        return _opaque(linear(colormap.colors(values, low, high, palette=chosen)))
-    return None if snapshot.colors is None else _opaque(from_bytes(snapshot.colors))
 
 
 def _opaque(light: Light) -> npt.NDArray[np.uint16]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from pxr import Usd, UsdGeom
+from scipy.spatial.transform import Rotation
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.export import FORMATS, export, suffix
@@ -62,6 +63,40 @@ def test_surface_comes_back(trajectory, tmp_path, format):
     np.testing.assert_allclose(
         found.vertices[found.faces], expected.vertices[expected.faces], atol=TOLERANCE
     )
+
+
+def splats(path):
+    """The properties of the Gaussians in a file, by name."""
+    cloud = trimesh.load(path)
+    return cloud.metadata["_ply_raw"]["vertex"]["data"]
+
+
+def test_particles_as_splats_fill_the_body(trajectory, tmp_path):
+    """Round Gaussians at the particles, half a spacing wide: nowhere inside is there a gap."""
+    found = splats(export(trajectory, tmp_path / "s.ply", "splat", units="grid"))
+    places = np.stack([found[axis] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(places, trajectory.positions(-1), atol=TOLERANCE)
+    sigma = np.exp(found["scale_0"])
+    np.testing.assert_allclose(sigma, 0.5 * trajectory.config.spacing, rtol=1e-5)
+    opacity = 1 / (1 + np.exp(-found["opacity"]))
+    inside = places[::50] + np.random.default_rng(0).uniform(-0.1, 0.1, (len(places[::50]), 3))
+    apart = np.linalg.norm(inside[:, None] - places, axis=2) / sigma
+    let_through = np.prod(1 - opacity * np.exp(-(apart**2) / 2), axis=1)
+    assert let_through.max() < 0.3
+
+
+def test_splats_of_a_surface_lie_in_it(trajectory, tmp_path):
+    """Flat Gaussians whose thin axis is the normal of the surface; light clay where it looks up."""
+    path = tmp_path / "s.ply"
+    found = splats(export(trajectory, path, "splat", surface=True, units="grid"))
+    surface = reconstruct_surface(trajectory.positions(-1), trajectory.config.spacing)
+    normals = vertex_normals(surface.vertices, surface.faces)
+    turns = np.stack([found[f"rot_{i}"] for i in range(4)], axis=1)
+    thin = Rotation.from_quat(turns, scalar_first=True).apply([0, 0, 1])
+    np.testing.assert_allclose(thin, normals, atol=1e-5)
+    np.testing.assert_allclose(found["scale_2"] - found["scale_0"], np.log(0.1), atol=1e-5)
+    up = normals[:, 2] > 0.5
+    assert found["f_dc_0"][up].min() > found["f_dc_0"][normals[:, 2] < -0.5].max()
 
 
 @pytest.mark.parametrize("format", ["ply", "obj", "glb"])
