@@ -100,8 +100,8 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help="ply, obj, glb, stl, usd, pc2, npz, splat, csv, html, mp4, webm, mov, gif, png; by "
-            "the ending if absent."
+            help="ply, obj, glb, stl, usd, pc2, npz, splat, csv, html, mp4, webm, mov, gif, png; "
+            "by the ending if absent."
         ),
     ] = None,
     tracked: Annotated[
