@@ -88,7 +88,8 @@ def to_bytes(snapshot: Snapshot) -> bytes:
         "end_header",
         "",
     ]
-    return "\n".join(header).encode() + known.tobytes()
+    data: bytes = known.tobytes()
+    return "\n".join(header).encode() + data
 
 
 def _edge_lengths(vertices: Floats, faces: npt.NDArray[np.int32]) -> Floats:
