@@ -18,6 +18,7 @@ import numpy.typing as npt
 from morph_engine.errors import MeshError
 from morph_engine.geometry.file_colors import Part, only_base_colors, read_colors
 from morph_engine.geometry.mesh_colors import MeshColors
+from morph_engine.geometry.splats import are_splats, solid_of_splats
 from morph_engine.geometry.topology import signed_volume, triangle_areas
 from morph_engine.geometry.upward import Up, guess_up
 
@@ -27,6 +28,8 @@ FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
 FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9
+
+SPLATS_FILLED = "The Gaussian splats have been turned into a solid, and a surface put around it."
 
 AREA_LIMIT = 30.0
 """Most surface area, in areas of the bounding box; a fine foam has 10, scrambled indices 1000."""
@@ -146,7 +149,8 @@ def _digest(
 def load_mesh(path: str | Path) -> Mesh:
     """Read a mesh and turn it right side out; its coordinates stay as in the file (algorithm 1.1).
 
-    It is an OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh.
+    It is an OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh, and
+    Gaussian splats in a PLY file the surface of a solid.
 
     Raises:
         MeshError: The file is missing, empty, too large or unreadable, or its mesh is unusable.
@@ -236,6 +240,9 @@ def _parse(
         scene = trimesh.load_scene(
             io.BytesIO(data), file_type=kind, process=False, skip_materials=not is_gltf
         )
+        splats = _splats(scene)
+        if splats is not None:
+            return *solid_of_splats(splats), (SPLATS_FILLED,)
         visuals = {name: one.visual for name, one in scene.geometry.items() if _is_mesh(one)}
         for name in visuals:  # else they are copied, and merged into large pictures
             scene.geometry[name].visual = trimesh.visual.ColorVisuals()
@@ -244,6 +251,16 @@ def _parse(
         parts = [Part(visuals[p.metadata["name"]], p.faces, len(p.vertices)) for p in placed]
         colors, left_out = read_colors(parts, kind)
     return mesh.vertices, mesh.faces, colors, left_out
+
+
+def _splats(scene: Any) -> dict[str, npt.NDArray[np.floating]] | None:
+    """Properties of the Gaussian splats that a PLY file holds, if it does."""
+    for geometry in scene.geometry.values():
+        raw = geometry.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+        names = getattr(getattr(raw, "dtype", None), "names", None)
+        if not _is_mesh(geometry) and raw is not None and names and are_splats(names):
+            return {name: raw[name] for name in names}
+    return None
 
 
 def _is_mesh(geometry: Any) -> bool:
