@@ -13,11 +13,12 @@ PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 export PATH := $(abspath $(BIN)):$(PATH)
 ADDON := dist/chamfer_morph_blender.zip
 BLENDER := $(VENV)/blender/bin/python
+export CONTAINER_ENGINE ?= $(if $(shell command -v docker),docker,podman)
 CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo page site test test-acceptance test-browser test-site test-faults test-distribution \
-  test-blender addon lint \
+  test-blender addon image test-image lint \
   format bench gallery pictures lock clean
 
 help:  ## show the targets
@@ -88,6 +89,13 @@ $(BLENDER):
 test-blender: install $(BLENDER)  ## add-on and point caches in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
 	MORPH_BLENDER=$(abspath $(BLENDER)) $(BIN)/python -m pytest -m blender
 
+image:  ## the container image `morph`, by docker or podman; IMAGE_OPTIONS are of their `build`
+	$(CONTAINER_ENGINE) build $(if $(findstring podman,$(CONTAINER_ENGINE)),--format docker) $(IMAGE_OPTIONS) \
+	  --tag morph --file docker/Dockerfile .
+
+test-image: install image  ## a job, MP4 and USD in the image, as no root, on a read-only root
+	$(BIN)/python -m pytest -m image
+
 lint: install  ## style, types and import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -112,6 +120,9 @@ lock:  ## resolve the versions again (needs uv)
 	  --no-header --upgrade --extra bench -c requirements.lock -o requirements-bench.lock pyproject.toml
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra docs -c requirements.lock -o requirements-docs.lock pyproject.toml
+	uv pip compile --python-platform linux --python-version 3.13 --generate-hashes --no-emit-index-url \
+	  --no-header --upgrade --extra object-store --extra usd --extra video -c requirements.lock \
+	  -o requirements-image.lock pyproject.toml
 
 gallery: install  ## twelve morphs in GALLERY (the folder gallery): results, a sheet, videos
 	$(BIN)/python -m docs.pictures gallery --to "$(or $(GALLERY),gallery)"

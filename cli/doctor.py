@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import platform
 import shutil
@@ -20,11 +19,9 @@ from chamfer_morph.cli.tables import format_size
 from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.child_process import describe_exit, python_command
 from morph_engine.errors import MorphError
+from morph_engine.system_libraries import LIBRARIES, installation, missing_libraries
 
 PACKAGES = ("taichi", "numpy", "scipy", "trimesh", "h5py", "fastapi", "dbos")
-
-LIBRARIES = {"libX11.so.6": "libx11-6"} if sys.platform == "linux" else {}
-"""What Taichi loads of the system, and the Debian package of each."""
 
 LEAST_MEMORY, LEAST_DISK = 1 << 30, 1 << 30
 """What a job of 38 000 particles takes with its result, rounded up [bytes]."""
@@ -92,19 +89,10 @@ def check_software() -> Finding:
 
 def check_libraries() -> Finding:
     """Libraries of the system without which Taichi cannot be loaded."""
-    missing = []
-    for library in LIBRARIES:
-        try:
-            ctypes.CDLL(library)
-        except OSError:
-            missing.append(library)
-    if not missing:
-        return Finding("libraries", "ok", ", ".join(LIBRARIES) or "none needed")
-    packages = " ".join(LIBRARIES[library] for library in missing)
-    return Finding(
-        "libraries", "fault", f"{', '.join(missing)} cannot be loaded.",
-        f"apt-get install {packages}",
-    )  # fmt: skip
+    if missing := missing_libraries():
+        text = f"{', '.join(missing)} cannot be loaded."
+        return Finding("libraries", "fault", text, installation(missing))
+    return Finding("libraries", "ok", ", ".join(LIBRARIES) or "none needed")
 
 
 def check_memory() -> Finding:

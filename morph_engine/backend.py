@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from morph_engine import array_lifetimes, kernel_loading
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
+from morph_engine.system_libraries import require_libraries
 
 ti: Any = lazy.load("taichi")  # which takes a second; not every use of the package computes
 
@@ -104,9 +105,11 @@ def start(
         precision: Type of every real number on the device.
 
     Raises:
-        DeviceError: The device is not available, or cannot compute in this precision.
+        DeviceError: The device is not available, or cannot compute in this precision; or Taichi
+            cannot be loaded on this system.
     """
     global _active
+    require_libraries()
     kernel_loading.shorten()
     wanted = Backend(_choose(device), threads, precision)
     if wanted == _active:

@@ -72,6 +72,8 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
     from chamfer_morph.server.auth import check_keys
     from chamfer_morph.worker.storage import open_storage
 
+    if secret := settings.read_admin_key():
+        api_keys.put("admin", "admin", secret)
     check_keys(settings, api_keys)
     if arguments.command == "check":
         from chamfer_morph.worker.dbos_adapter import migrate

@@ -57,8 +57,8 @@ def check_keys(settings: Settings, api_keys: ApiKeyStore) -> None:
     if not is_loopback(settings.host) and not api_keys.callers():
         raise ConfigError(
             f"Without keys everybody who reaches {settings.host} could use this service.",
-            "Make one with `python -m chamfer_morph.server keys add NAME --scope admin`, or "
-            "listen on 127.0.0.1.",
+            "Set MORPH_ADMIN_KEY or MORPH_ADMIN_KEY_FILE, make one with "
+            "`python -m chamfer_morph.server keys add NAME --scope admin`, or listen on 127.0.0.1.",
         )
 
 

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import ClassVar
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from morph_engine.errors import ConfigError
@@ -17,6 +17,9 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 MIB = 1 << 20
 GIB = 1 << 30
+
+SHORTEST_SECRET = 32
+"""Characters of a secret that somebody chose."""
 
 OTHER_VARIABLES = ("SERVER", "KEY", "URL", "MESHES", "CHROMIUM")
 """What MORPH_* means to others than the service: the client, the page, and the tests."""
@@ -53,6 +56,11 @@ class Settings(BaseSettings):
     host: str = Field(
         "127.0.0.1", description="Address to listen on; others than loopback need keys."
     )
+    admin_key: SecretStr = Field(
+        SecretStr(""),
+        description="Secret of the key `admin`, which is made or changed when the service starts.",
+    )
+    admin_key_file: Path | None = Field(None, description="A file that holds it instead.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     workers: int = Field(1, ge=0, le=256, description="Worker slots that `morph serve` starts.")
     threads: int = Field(
@@ -142,6 +150,29 @@ class Settings(BaseSettings):
     def system_database_url(self) -> str:
         """The database in use, as SQLAlchemy spells it."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'morph.sqlite'}"
+
+    def read_admin_key(self) -> str:
+        """The secret of the key `admin` from its variable or file; empty if there is neither.
+
+        Raises:
+            ConfigError: The file cannot be read, or the secret is so short that it may be guessed.
+        """
+        secret = self.admin_key.get_secret_value()
+        if self.admin_key_file is not None:
+            try:
+                secret = self.admin_key_file.read_text(encoding="utf-8").strip()
+            except (OSError, UnicodeDecodeError) as error:
+                raise ConfigError(
+                    f"MORPH_ADMIN_KEY_FILE cannot be read: {error}.", "Name a file with a secret."
+                ) from None
+        elif not secret:
+            return ""
+        if len(secret) < SHORTEST_SECRET:
+            raise ConfigError(
+                f"The key `admin` has fewer than {SHORTEST_SECRET} characters.",
+                "Make a longer one: openssl rand -hex 32.",
+            )
+        return secret
 
     @field_validator("webhook_networks")
     @classmethod

@@ -71,6 +71,15 @@ class ApiKeyStore:
         row = KeyRow(name, secret_digest(secret), ordered, now())
         return (_key(row), secret) if insert(self._engine, row) else None
 
+    def put(self, name: str, scope: Scope, secret: str) -> None:
+        """Have a key of this name with this secret; harmless to repeat, and from two processes."""
+        row = KeyRow(name, secret_digest(secret), scope, now())
+        if insert(self._engine, row):
+            return
+        changed = {"digest": secret_digest(secret), "scopes": scope}
+        with self._engine.begin() as connection:
+            connection.execute(sa.update(KeyRow).where(KeyRow.name == name).values(changed))
+
     def remove(self, name: str) -> bool:
         """Revoke a key and delete its webhooks; False if there is none of that name."""
         Webhooks(self._engine).remove_of(name)

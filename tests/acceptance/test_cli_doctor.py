@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from chamfer_morph.cli import doctor
+from morph_engine import backend, system_libraries
+from morph_engine.errors import DeviceError
 
 
 def run_doctor(*options: str, **settings: str) -> tuple[int, dict[str, dict[str, str]]]:
@@ -70,7 +72,15 @@ def test_machine_that_lacks_something(
 
 def test_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """The package that has it is named."""
-    monkeypatch.setitem(doctor.LIBRARIES, "libnowhere.so.1", "libnowhere1")
+    monkeypatch.setitem(system_libraries.LIBRARIES, "libnowhere.so.1", "libnowhere1")
     found = doctor.check_libraries()
     assert found.verdict == "fault"
     assert found.remedy == "apt-get install libnowhere1"
+
+
+def test_a_run_without_a_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names it and its package, too, before Taichi is imported."""
+    monkeypatch.setitem(system_libraries.LIBRARIES, "libnowhere.so.1", "libnowhere1")
+    with pytest.raises(DeviceError, match="without libnowhere") as caught:
+        backend.start("cpu")
+    assert "apt-get install libnowhere1" in caught.value.remedy

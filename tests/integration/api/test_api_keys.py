@@ -14,6 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from chamfer_morph.server.app import create_app
+from chamfer_morph.server.database.api_keys import ApiKeyStore, Caller, secret_digest
 from chamfer_morph.server.database.tables import KeyRow
 from tests.integration.api.conftest import MORPH, Api
 
@@ -190,6 +191,28 @@ def test_other_addresses_need_keys(tmp_path: Path) -> None:
     assert run("check").returncode == 0
     assert run("keys", "remove", "root").returncode == 0
     assert run("check").returncode == 2
+
+
+def test_a_key_from_the_environment_or_a_file(tmp_path: Path) -> None:
+    """As a container starts: the key `admin` has the secret it is given, a new one included."""
+    file = tmp_path / "admin_key"
+
+    def check(**variables: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "chamfer_morph.server", "check"],
+            env=os.environ | {"MORPH_DATA_DIR": str(tmp_path), "MORPH_HOST": "0.0.0.0"} | variables,
+            capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+
+    store = ApiKeyStore(sa.create_engine(f"sqlite:///{tmp_path / 'morph.sqlite'}"))
+    for name, secret in (("MORPH_ADMIN_KEY", "a" * 32), ("MORPH_ADMIN_KEY_FILE", "b" * 32)):
+        file.write_text(f"{secret}\n")
+        started = check(**{name: str(file) if name.endswith("FILE") else secret})
+        assert started.returncode == 0, started.stderr
+        assert store.callers() == {secret_digest(secret): Caller("admin", "admin")}
+    for refused in ({"MORPH_ADMIN_KEY": "short"}, {"MORPH_ADMIN_KEY_FILE": f"{tmp_path}/none"}):
+        assert check(**refused).returncode == 2
+    assert store.callers().keys() == {secret_digest("b" * 32)}
 
 
 def test_strangers_are_refused_before_their_body_is_read(make_api: Callable[..., Api]) -> None:
