@@ -18,7 +18,7 @@ CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo page site test test-acceptance test-browser test-site test-faults test-distribution \
-  test-blender addon image test-image lint \
+  test-blender addon image test-image audit sbom lint \
   format bench gallery pictures lock clean
 
 help:  ## show the targets
@@ -123,6 +123,14 @@ lock:  ## resolve the versions again (needs uv)
 	uv pip compile --python-platform linux --python-version 3.13 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra object-store --extra usd --extra video -c requirements.lock \
 	  -o requirements-image.lock pyproject.toml
+
+audit: install  ## known weaknesses of the locked packages, by pip-audit; asks PyPI
+	for lock in requirements-image.lock requirements.lock; do \
+	  $(BIN)/uv tool run pip-audit --strict --require-hashes --disable-pip -r $$lock || exit 1; done
+
+sbom: install  ## what the image has of Python, as CycloneDX in dist/sbom.json
+	@mkdir -p dist
+	$(BIN)/uv tool run --from cyclonedx-bom cyclonedx-py requirements requirements-image.lock -o dist/sbom.json
 
 gallery: install  ## twelve morphs in GALLERY (the folder gallery): results, a sheet, videos
 	$(BIN)/python -m docs.pictures gallery --to "$(or $(GALLERY),gallery)"
