@@ -25,6 +25,7 @@ _MODULES = {
         "submit", "jobs", "show", "watch", "next", "cancel", "retry", "resume", "fork", "delete",
         "fetch",
     ),
+    "sharing": ("share",),
     "queue": ("queue",),
     "webhooks": ("webhooks",),
     "sweeps": ("sweep",),

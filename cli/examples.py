@@ -74,6 +74,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "keys list": ("morph keys list",),
     "keys create": ("morph keys create ann --scope read --scope submit",),
     "keys delete": ("morph keys delete ann",),
+    "share": ("morph share JOB", "morph share JOB --revoke"),
     "webhooks create": ("morph webhooks create https://example.org/hook --state succeeded",),
     "webhooks list": ("morph webhooks list",),
     "webhooks test": ("morph webhooks test WEBHOOK",),

@@ -39,6 +39,7 @@ from chamfer_morph.schemas import (
     MeshPage,
     MeshShape,
     NewKey,
+    NewShareLink,
     NewWebhook,
     ParticleField,
     Playback,
@@ -46,6 +47,7 @@ from chamfer_morph.schemas import (
     Repeat,
     Resource,
     Shape,
+    ShareLink,
     SurfaceFormat,
     Sweep,
     SweepRequest,
@@ -88,6 +90,11 @@ class Operations:
         timeout_seconds: float = DEFAULT_TIMEOUT_SECONDS,
     ) -> None:
         self._connection = Connection(server, key, timeout_seconds)
+
+    @property
+    def server(self) -> str:
+        """Address of the service."""
+        return self._connection.server
 
     # meshes
 
@@ -616,6 +623,27 @@ class Operations:
         place = ("meshes", known.mesh) if isinstance(known, MeshShape) else ("shapes", known.shape)
         query = {"points_per_cell_edge": points_per_cell_edge, "fit": fit}
         return await self._get_points(*place, "particles", **query)
+
+    # share links
+
+    @operation
+    async def share(self, job_id: str) -> NewShareLink:
+        """Make a link by which others read a job without a key.
+
+        Returns:
+            The link; its secret is shown this once. `server` and `path` together are its URL.
+        """
+        return await self._post(NewShareLink, "jobs", job_id, "share-links")
+
+    @operation
+    async def share_links(self, job_id: str) -> list[ShareLink]:
+        """The share links of a job, without their secrets."""
+        return await self._get(list[ShareLink], "jobs", job_id, "share-links")
+
+    @operation
+    async def revoke_share_link(self, job_id: str, link_id: str) -> None:
+        """Let a share link show nothing any more."""
+        await self._delete("jobs", job_id, "share-links", link_id)
 
     # webhooks
 

@@ -21,6 +21,7 @@ from chamfer_morph.schemas.playback import Playback
 from chamfer_morph.schemas.problems import Problem, ProblemDocument
 from chamfer_morph.schemas.queue import QueueStatus
 from chamfer_morph.schemas.shapes import BuiltInShape, MeshShape, Shape
+from chamfer_morph.schemas.share_links import NewShareLink, ShareLink
 from chamfer_morph.schemas.sweeps import Sweep, SweepRequest, SweepRow
 from chamfer_morph.schemas.types import (
     Device,
@@ -71,6 +72,7 @@ __all__ = [
     "MeshPage",
     "MeshShape",
     "NewKey",
+    "NewShareLink",
     "NewWebhook",
     "Outcome",
     "ParticleField",
@@ -84,6 +86,7 @@ __all__ = [
     "Scope",
     "Sha256",
     "Shape",
+    "ShareLink",
     "SurfaceFormat",
     "Sweep",
     "SweepRequest",

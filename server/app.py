@@ -30,6 +30,7 @@ from chamfer_morph.server.routes import (
     playback,
     queue,
     results,
+    share_links,
     surfaces,
     sweeps,
     thumbnails,
@@ -47,7 +48,7 @@ Every error is an RFC 9457 problem with the cause in `detail` and what to do abo
 
 ROUTERS = (
     meshes, jobs, results, job_shapes, job_colors, fields, surfaces, thumbnails, playback, exports,
-    events, sweeps, catalog, particles, queue, webhooks, keys, workers,
+    events, share_links, sweeps, catalog, particles, queue, webhooks, keys, workers,
 )  # fmt: skip
 
 

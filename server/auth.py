@@ -1,4 +1,4 @@
-"""Authentication: bearer keys, or none from the same machine."""
+"""Authentication: bearer keys, share links, or neither from the same machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from chamfer_morph.schemas import Scope
-from chamfer_morph.server.database.api_keys import ApiKeyStore, Caller, secret_digest
+from chamfer_morph.server.database.api_keys import ApiKeyStore
+from chamfer_morph.server.database.callers import Caller, secret_digest
+from chamfer_morph.server.database.share_links import PREFIX as SHARE_LINK
+from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.settings import Settings
 from morph_engine.errors import ConfigError
@@ -31,7 +34,7 @@ ANONYMOUS = Caller("", "admin")
 BEARER = HTTPBearer(
     scheme_name="key",
     description="A key made by `POST /v1/keys`. None is needed from the same machine as long as "
-    "there are no keys.",
+    "there are no keys. The secret of a share link reads one job.",
     auto_error=False,
 )
 
@@ -67,11 +70,15 @@ class Authenticator:
 
     Args:
         api_keys: The keys.
+        share_links: The share links, which are looked up at each request.
         open_without_keys: Whether no key is needed while there are none.
     """
 
-    def __init__(self, api_keys: ApiKeyStore, *, open_without_keys: bool) -> None:
+    def __init__(
+        self, api_keys: ApiKeyStore, share_links: ShareLinkStore, *, open_without_keys: bool
+    ) -> None:
         self._api_keys = api_keys
+        self._share_links = share_links
         self._open = open_without_keys
         self._callers: dict[str, Caller] = {}
         self._read_at = float("-inf")
@@ -86,6 +93,8 @@ class Authenticator:
         Raises:
             ProblemError: 401 for a missing or wrong key.
         """
+        if secret is not None and secret.startswith(SHARE_LINK):
+            return await self._find_link(secret)
         await self._read()
         if secret is not None:
             return self._find(secret)
@@ -113,12 +122,26 @@ class Authenticator:
                 return caller
         raise _unauthorized("This key is unknown or revoked.")
 
+    async def _find_link(self, secret: str) -> Caller:
+        caller = await anyio.to_thread.run_sync(self._share_links.caller, secret)
+        if caller is None:
+            raise _unauthorized(
+                "This share link is unknown or revoked.", "Ask whoever sent it for another."
+            )
+        return caller
+
 
 class RequireScope:
-    """A dependency that answers the caller if the key includes a scope."""
+    """A dependency that answers the caller if the key includes a scope.
 
-    def __init__(self, scope: Scope) -> None:
+    Args:
+        scope: The scope.
+        shared: Whether a share link will do; it must not, unless a single job is read.
+    """
+
+    def __init__(self, scope: Scope, *, shared: bool = False) -> None:
         self.scope = scope
+        self.shared = shared
 
     async def __call__(
         self,
@@ -135,6 +158,10 @@ class RequireScope:
         authenticator: Authenticator = request.app.state.context.authenticator
         found = await authenticator.authenticate(key.credentials if key else None)
         request.state.caller = found
+        if found.shared is not None and not self.shared:
+            raise ProblemError(
+                403, "A share link shows one job, and nothing else.", "Use a key for this."
+            )
         if not found.has_scope(self.scope):
             raise ProblemError(
                 403,
@@ -145,6 +172,7 @@ class RequireScope:
 
 
 Reader = Annotated[Caller, Depends(RequireScope("read"))]
+JobReader = Annotated[Caller, Depends(RequireScope("read", shared=True))]
 Submitter = Annotated[Caller, Depends(RequireScope("submit"))]
 Admin = Annotated[Caller, Depends(RequireScope("admin"))]
 
@@ -175,10 +203,8 @@ def _requirements(dependant: Dependant) -> Iterator[RequireScope]:
         yield from _requirements(inner)
 
 
-def _unauthorized(detail: str) -> ProblemError:
-    return ProblemError(
-        401,
-        detail,
-        "Send it as `Authorization: Bearer <key>`; `morph keys create` makes one.",
-        headers={"WWW-Authenticate": "Bearer"},
-    )
+def _unauthorized(
+    detail: str,
+    remedy: str = "Send it as `Authorization: Bearer <key>`; `morph keys create` makes one.",
+) -> ProblemError:
+    return ProblemError(401, detail, remedy, headers={"WWW-Authenticate": "Bearer"})

@@ -15,6 +15,7 @@ from chamfer_morph.server.database import tables
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.reservations import Reservations
+from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.database.sweeps import SweepStore
 from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.failure_counts import FailureCounts
@@ -58,8 +59,9 @@ class ServerContext:
         self.engine: sa.Engine = database(settings)
         tables.create(self.engine)
         self.api_keys: ApiKeyStore = ApiKeyStore(self.engine)
+        self.share_links: ShareLinkStore = ShareLinkStore(self.engine)
         self.authenticator: Authenticator = Authenticator(
-            self.api_keys, open_without_keys=is_loopback(settings.host)
+            self.api_keys, self.share_links, open_without_keys=is_loopback(settings.host)
         )
         self.meshes: MeshStore = MeshStore(self.engine)
         self.worker_slots: WorkerSlots = WorkerSlots(self.engine)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from chamfer_morph.schemas import ForkOrigin, ForkRequest
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.context import ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.submission import body_digest, idempotency_conflict, idempotent_id
 from chamfer_morph.worker.kept_states import find_state

@@ -18,6 +18,9 @@ from chamfer_morph.worker.settings import Settings
 DISK_SECONDS = 30.0
 """How long a measured use of disk is believed."""
 
+SHARE_LINKS = 20
+"""Links to one job that may be there at the same time."""
+
 
 class Incoming:
     """An upload on its way in, or several, which count as meshes and fill the disk already.
@@ -115,6 +118,24 @@ class Quotas:
             if reserved.refused:
                 cause = f"This key has {reserved.there} webhooks, and may have {limit}."
                 raise _refusal(429, cause, "Delete those that are not needed any more.")
+            yield
+
+    @contextmanager
+    def letting_in_share_link(self, job_id: str, count: Callable[[], int]) -> Iterator[None]:
+        """Refuse more share links than a job may have.
+
+        Args:
+            job_id: The job.
+            count: Counts those it has.
+
+        Raises:
+            ProblemError: 429.
+        """
+        limit = SHARE_LINKS
+        with self._reservations.reserving("share links", job_id, 1, limit, count) as reserved:
+            if reserved.refused:
+                cause = f"This job has {reserved.there} share links, and may have {limit}."
+                raise _refusal(429, cause, "Revoke those that are not needed any more.")
             yield
 
     @contextmanager

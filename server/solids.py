@@ -10,7 +10,7 @@ import numpy as np
 
 from chamfer_morph.schemas import MeshShape, Shape
 from chamfer_morph.server.context import ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from morph_engine.errors import MeshError
 from morph_engine.geometry import shapes

@@ -15,7 +15,7 @@ from chamfer_morph.schemas import JobRequest, Shape
 from chamfer_morph.schemas.ids import derived_id
 from chamfer_morph.schemas.jobs import JobOptions, JobPlacement
 from chamfer_morph.server.context import ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.reuse import TAKEOVER_SECONDS, find_equal, run_digest, take_over
 from chamfer_morph.server.solids import find_solid

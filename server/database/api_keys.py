@@ -2,47 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import secrets
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
 
 from chamfer_morph.schemas import Key, Scope
+from chamfer_morph.server.database.callers import SCOPE_ORDER, Caller, secret_digest
+from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.database.tables import KeyRow, as_time, insert, now
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 PREFIX = "morph_"
-SCOPE_ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
-"""Each scope includes those before it."""
-
-
-@dataclass(frozen=True)
-class Caller:
-    """Whoever sends a request.
-
-    Attributes:
-        name: Name of the key, which owns what it makes; empty without keys.
-        scope: The widest scope of the key.
-    """
-
-    name: str
-    scope: Scope
-
-    def has_scope(self, scope: Scope) -> bool:
-        """Whether the key includes a scope."""
-        return SCOPE_ORDER.index(scope) <= SCOPE_ORDER.index(self.scope)
-
-    def can_see(self, owner: str) -> bool:
-        """Whether the key may see what an owner made."""
-        return self.name == owner or self.has_scope("admin")
-
-    @property
-    def owner_filter(self) -> str | None:
-        """The owner whose things this key may list; None for everybody's."""
-        return None if self.has_scope("admin") else self.name
 
 
 class ApiKeyStore:
@@ -81,19 +53,15 @@ class ApiKeyStore:
             connection.execute(sa.update(KeyRow).where(KeyRow.name == name).values(changed))
 
     def remove(self, name: str) -> bool:
-        """Revoke a key and delete its webhooks; False if there is none of that name."""
+        """Revoke a key with its webhooks and share links; False if there is none of that name."""
         Webhooks(self._engine).remove_of(name)
+        ShareLinkStore(self._engine).remove_of(name)
         with self._engine.begin() as connection:
             return bool(connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount)
 
     def _rows(self) -> list[KeyRow]:
         with Session(self._engine) as session:
             return [*session.scalars(sa.select(KeyRow).order_by(KeyRow.created_at))]
-
-
-def secret_digest(secret: str) -> str:
-    """What is stored of a secret: its SHA-256, enough for 32 random bytes."""
-    return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def _key(row: KeyRow) -> Key:

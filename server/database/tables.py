@@ -1,4 +1,4 @@
-"""The service's own tables, in the database of the queue: keys, meshes, sweeps, quotas.
+"""The service's own tables in the database of the queue: keys, share links, meshes, sweeps, quotas.
 
 The state of jobs is the queue's affair and stands nowhere else.
 """
@@ -28,6 +28,21 @@ class KeyRow(Row):
     name: Mapped[str] = mapped_column(sa.String(64), primary_key=True)
     digest: Mapped[str] = mapped_column(sa.String(64), unique=True)
     scopes: Mapped[str] = mapped_column(sa.String(64))
+    created_at: Mapped[int] = mapped_column(sa.BigInteger)
+
+
+class ShareLinkRow(Row):
+    """A link to a job, whose age [milliseconds] tells it from another with its id; who made it; the
+    digest of its secret, and when it was made [microseconds].
+    """  # noqa: D205
+
+    __tablename__ = "morph_share_links"
+
+    id: Mapped[str] = mapped_column(sa.String(26), primary_key=True)
+    job: Mapped[str] = mapped_column(sa.String(26), index=True)
+    job_created_at: Mapped[int] = mapped_column(sa.BigInteger)
+    owner: Mapped[str] = mapped_column(sa.String(64))
+    digest: Mapped[str] = mapped_column(sa.String(64), unique=True)
     created_at: Mapped[int] = mapped_column(sa.BigInteger)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 
 HEADER = "X-Request-ID"
 

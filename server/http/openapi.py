@@ -43,6 +43,7 @@ PATH_SCHEMAS: dict[str, dict[str, Any]] = {
     "sweep_id": JOB_ID,
     "export_id": JOB_ID,
     "webhook_id": JOB_ID,
+    "link_id": JOB_ID,
     "mesh_id": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
     "worker_id": {"type": "string", "pattern": "^[A-Za-z0-9.-]+$"},
     "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"},
@@ -55,7 +56,8 @@ FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
     "resumeJob": (409, 413, 429), "retryJob": (409, 413, 429),
     "getResult": (400, 409, 416), "getExportFile": (400, 409, 416),
     "getMeshFile": (400, 416), "getLog": (400, 416),
-    "getSurface": (413,), "getEvents": (429,), "readyz": (503,),
+    "getSurface": (413,), "getEvents": (429,), "makeShareLink": (429,),
+    "readyz": (503,),
 }  # fmt: skip
 """What neither the address nor the body of an operation tells."""
 
@@ -66,7 +68,7 @@ HEADERS: dict[str, dict[str, Any]] = {
 
 MADE_BY = {
     "mesh_id": "uploadMesh", "job_id": "submitJob", "sweep_id": "submitSweep",
-    "export_id": "exportJob", "webhook_id": "makeWebhook",
+    "export_id": "exportJob", "webhook_id": "makeWebhook", "link_id": "makeShareLink",
 }  # fmt: skip
 """The operation that makes the thing of an id."""
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
 
 from chamfer_morph.schemas import EventPage
-from chamfer_morph.server.auth import AuthenticatedRoute, Reader
+from chamfer_morph.server.auth import AuthenticatedRoute, JobReader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
@@ -37,7 +37,7 @@ LARGEST_ID = 2**53
 async def get_events(
     job: VisibleJob,
     request: Request,
-    caller: Reader,
+    caller: JobReader,
     context: Context,
     after: Annotated[
         int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")

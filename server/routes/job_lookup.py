@@ -14,7 +14,7 @@ import anyio
 from fastapi import Depends, Request
 
 from chamfer_morph.schemas.ids import is_id
-from chamfer_morph.server.auth import Reader
+from chamfer_morph.server.auth import JobReader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
@@ -32,14 +32,14 @@ AWAY_SECONDS = 60.0
 """How long an object store that has not answered is not asked for events again."""
 
 
-def find_job(job_id: str, caller: Reader, context: Context) -> JobRecord:
-    """A job that the caller may see.
+def find_job(job_id: str, caller: JobReader, context: Context) -> JobRecord:
+    """A job that the caller may see, by a key or a share link.
 
     Raises:
         ProblemError: 404.
     """
     record = context.queue.get(job_id) if is_id(job_id) else None
-    if record is None or not caller.can_see(record.owner):
+    if record is None or not caller.can_see_job(record):
         raise not_found("job", job_id)
     fetch_logs([record], context)
     return record

@@ -13,9 +13,9 @@ from starlette.datastructures import UploadFile
 
 from chamfer_morph.schemas import ForkRequest, Job, JobPage, JobRequest, JobState, MeshShape
 from chamfer_morph.schemas.ids import new_id
-from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, JobReader, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.forking import fork
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError, too_large
@@ -176,8 +176,14 @@ def list_jobs(
 
 
 @router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
-def get_job(job: VisibleJob, context: Context) -> Response:
-    """Where a job stands, how far it has come, and what it left."""
+def get_job(caller: JobReader, job: VisibleJob, context: Context) -> Response:
+    """Where a job stands, how far it has come, and what it left.
+
+    A share link does not tell its owner and its sweep.
+    """
+    if caller.shared is not None:
+        shown = to_job(job, context).model_copy(update={"owner": "", "sweep": None})
+        return Response(shown.model_dump_json(), media_type="application/json")
     return Response(to_json(job, context), media_type="application/json")
 
 
@@ -186,6 +192,7 @@ def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
     """Forget a finished job and all its files."""
     check_allowed(job, "delete")
     context.queue.delete(job.id)
+    context.share_links.remove_of_job(job.id)
     context.cancel_computations(job.id)
     context.storage.remove_job(job.id)
     context.quotas.job_gone(job.id, job.owner)

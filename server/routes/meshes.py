@@ -16,7 +16,7 @@ from starlette.responses import FileResponse
 from chamfer_morph.schemas import JobState, Mesh, MeshPage, MeshShape
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.database.tables import MeshRow, as_time
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.conditional import file_response

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, Json
 from chamfer_morph.schemas import BuiltInShape, Fit, FrameFormat, MeshShape
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes import meshes

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 from chamfer_morph.schemas import JobState, QueueStatus
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 
 router: APIRouter = APIRouter(prefix="/queue", tags=["queue"], route_class=AuthenticatedRoute)

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.responses import FileResponse
 
 from chamfer_morph.schemas import FrameFormat
-from chamfer_morph.server.auth import AuthenticatedRoute
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, file_response
@@ -114,8 +114,8 @@ def get_config(job: VisibleJob) -> dict[str, Any]:
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def get_log(job: VisibleJob, context: Context) -> Response:
-    """Warnings and errors of the processes that computed the job, as text."""
+def get_log(caller: Reader, job: VisibleJob, context: Context) -> Response:
+    """Warnings and errors of the processes that computed the job, as text; not for share links."""
     path = context.storage.job_dir(job.id) / "log.txt"
     if not path.is_file():
         return Response("", media_type="text/plain; charset=utf-8")

@@ -14,7 +14,7 @@ from chamfer_morph.schemas.ids import is_id, new_id
 from chamfer_morph.schemas.jobs import JobOptions
 from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.database.tables import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http.csv_table import csv_table

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from chamfer_morph.schemas.ids import is_id
 from chamfer_morph.server.auth import is_loopback
-from chamfer_morph.server.database.api_keys import Caller
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.http.uploads import plain_name

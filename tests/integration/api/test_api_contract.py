@@ -27,8 +27,8 @@ OPERATIONS = [
 ]
 SAMPLES = {
     "job_id": "0" * 26, "sweep_id": "0" * 26, "mesh_id": "0" * 64, "worker_id": "none-slot9",
-    "export_id": "0" * 26, "webhook_id": "0" * 26, "name": "none", "index": "0",
-    "shape": "sphere", "field": "speed",
+    "export_id": "0" * 26, "webhook_id": "0" * 26, "link_id": "0" * 26,
+    "name": "none", "index": "0", "shape": "sphere", "field": "speed",
 }  # fmt: skip
 
 

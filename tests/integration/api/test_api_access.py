@@ -1,0 +1,162 @@
+"""Every operation of the contract, asked by those who may not: refused, without a word of data."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from morph_engine.results.run_record import RunRecord
+from tests.integration.api.conftest import MORPH, Api
+
+ROOT = Path(__file__).resolve().parents[3]
+CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text(encoding="utf-8"))
+OPERATIONS = [
+    (operation["operationId"], method.upper(), path)
+    for path, item in CONTRACT["paths"].items()
+    for method, operation in item.items()
+    if path.startswith("/v1/")
+]
+
+SHARED = {
+    "getJob", "getEvents", "getResult", "getFrame", "getField", "getSurface", "getThumbnail",
+    "getSource", "getTarget", "getSourceMesh", "getTargetMesh", "getColors", "getExport",
+    "getExportFile", "getPlayback", "getMetrics", "getConfig",
+}  # fmt: skip
+"""All that a share link reads; an operation that is new stays closed until it is named here."""
+
+ADMIN = {"listKeys", "makeKey", "revokeKey", "listWorkers", "pauseWorker", "unpauseWorker"}
+
+OF_OWNER = ("{job_id}", "{mesh_id}", "{sweep_id}", "{webhook_id}")
+"""In addresses of what belongs to a key."""
+
+
+@dataclass
+class House:
+    """An API with things of the key `ann` in it, and those who ask for them.
+
+    Attributes:
+        http: A client of it.
+        ids: What stands in addresses, by its name there.
+        keys: Authorization headers by who sends them.
+    """
+
+    http: httpx.Client
+    ids: dict[str, str]
+    keys: dict[str, dict[str, str]]
+
+    def ask(self, method: str, path: str, who: str, **ids: str) -> httpx.Response:
+        """Ask for the things of `ann`, or for others."""
+        address = re.sub(r"{(\w+)}", lambda name: (self.ids | ids)[name[1]], path)
+        return self.http.request(method, address, headers=self.keys[who], timeout=60)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory, run: RunRecord) -> Iterator[House]:
+    """One for all tests here, which change nothing."""
+    from chamfer_morph.worker.settings import Settings
+    from tests.integration.api.conftest import CUBE, serving
+
+    folder = tmp_path_factory.mktemp("access")
+    settings = Settings(_env_file=None, data_dir=folder, port=0, host="127.0.0.1")
+    with serving(settings) as api:
+        yield _furnished(api, run, CUBE)
+
+
+def _furnished(api: Api, run: RunRecord, mesh: str) -> House:
+    keys: dict[str, dict[str, str]] = {"nobody": {}}
+
+    def make_key(name: str, *scopes: str) -> dict[str, str]:
+        body = {"name": name, "scopes": list(scopes)}
+        made = api.http.post("/v1/keys", json=body, headers=keys.get("root"))
+        return {"Authorization": f"Bearer {made.json()['secret']}"}
+
+    keys["root"] = make_key("root", "admin")
+    for name, scope in (
+        ("ann", "submit"),
+        ("bob", "submit"),
+        ("reader", "read"),
+        ("gone", "submit"),
+    ):
+        keys[name] = make_key(name, scope)
+
+    def post(path: str, **more: Any) -> dict[str, Any]:
+        answer = api.http.post(path, headers=keys["ann"], **more)
+        assert answer.status_code < 300, answer.text
+        found: dict[str, Any] = answer.json()
+        return found
+
+    api.http.headers.update(keys["ann"])
+    ids = {"job_id": api.finished(run), "other": post("/v1/jobs", json=MORPH)["id"]}
+    del api.http.headers["Authorization"]
+    job = f"/v1/jobs/{ids['job_id']}"
+    ids["export_id"] = post(f"{job}/exports", json={"format": "ply"})["id"]
+    while post(f"{job}/exports", json={"format": "ply"})["state"] == "running":
+        pass
+    ids["mesh_id"] = post("/v1/meshes?name=a.obj", content=mesh)["id"]
+    sweep = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}]}
+    ids["sweep_id"] = post("/v1/sweeps", json=sweep)["id"]
+    webhook = {"url": "https://example.com/morph"}
+    ids["webhook_id"] = post("/v1/webhooks", json=webhook)["id"]
+    link = post(f"{job}/share-links")
+    keys["link"] = {"Authorization": f"Bearer {link['secret']}"}
+    revoked = post(f"{job}/share-links")
+    keys["revoked link"] = {"Authorization": f"Bearer {revoked['secret']}"}
+    api.http.delete(f"{job}/share-links/{revoked['id']}", headers=keys["ann"])
+    api.http.delete("/v1/keys/gone", headers=keys["root"])
+    ids |= {"link_id": link["id"], "index": "0", "field": "displacement", "name": "fast"}
+    ids |= {"shape": "sphere", "worker_id": "none-slot9"}
+    return House(api.http, ids, keys)
+
+
+def check_refused(answer: httpx.Response, *statuses: int) -> None:
+    """A problem with one of these statuses, and nothing else."""
+    assert answer.status_code in statuses, answer.text[:300]
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
+@pytest.mark.parametrize("who", ["nobody", "gone", "revoked link"])
+def test_without_a_valid_key(house: House, who: str, name: str, method: str, path: str) -> None:
+    """No key, a revoked one, a revoked link: 401 for everything."""
+    check_refused(house.ask(method, path, who), 401)
+
+
+@pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
+def test_with_too_narrow_a_key(house: House, name: str, method: str, path: str) -> None:
+    """What changes something is not for a key that reads, nor what an admin does for another."""
+    if name in ADMIN:
+        check_refused(house.ask(method, path, "ann"), 403)
+    if name in ADMIN or method != "GET":
+        check_refused(house.ask(method, path, "reader"), 403)
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "path"), [o for o in OPERATIONS if any(part in o[2] for part in OF_OWNER)]
+)
+def test_with_another_key(house: House, name: str, method: str, path: str) -> None:
+    """What belongs to a key is not there for another; 422 tells of a body that never came."""
+    statuses = (404, 422) if method == "POST" else (404,)
+    check_refused(house.ask(method, path, "bob"), *statuses)
+
+
+@pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
+def test_with_a_share_link(house: House, name: str, method: str, path: str) -> None:
+    """A link reads what is of its job; of another there is nothing, and all else is forbidden."""
+    if name not in SHARED:
+        check_refused(house.ask(method, path, "link"), 403)
+        return
+    answer = house.ask(method, path, "link")
+    assert answer.status_code == 200, answer.text[:300]
+    check_refused(house.ask(method, path, "link", job_id=house.ids["other"]), 404)
+
+
+def test_the_lists_here_are_of_the_contract() -> None:
+    """Each name stands for an operation."""
+    assert SHARED | ADMIN <= {name for name, _, _ in OPERATIONS}

@@ -1,0 +1,106 @@
+"""Share links: made, listed, revoked; what they show, and what of them is stored."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+
+from chamfer_morph.server.database.tables import ShareLinkRow
+from chamfer_morph.server.quotas import SHARE_LINKS
+from morph_engine.results.run_record import RunRecord
+from tests.integration.api.conftest import MORPH, Api
+
+
+def _headers(secret: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {secret}"}
+
+
+def test_a_link_is_made_listed_and_revoked(either: Api, run: RunRecord) -> None:
+    """It works at once, also without keys; revoked, it shows nothing, and others go on."""
+    job = f"/v1/jobs/{either.finished(run)}"
+    made = [either.http.post(f"{job}/share-links") for _ in range(2)]
+    first, second = (answer.json() for answer in made)
+    assert [answer.status_code for answer in made] == [201, 201]
+    assert first["path"] == f"/shared/{first['job']}#{first['secret']}"
+    listed = either.http.get(f"{job}/share-links").json()
+    assert [link["id"] for link in listed] == [first["id"], second["id"]]
+    assert "secret" not in listed[0]
+    with either.context.engine.connect() as connection:
+        rows = str(connection.execute(sa.select(ShareLinkRow)).all())
+    assert first["secret"] not in rows, "only a digest is stored"
+    for link in (first, second):
+        assert either.http.get(job, headers=_headers(link["secret"])).status_code == 200
+    assert either.http.delete(made[0].headers["Location"]).status_code == 204
+    assert either.http.delete(made[0].headers["Location"]).status_code == 404
+    revoked = either.http.get(job, headers=_headers(first["secret"]))
+    assert revoked.status_code == 401 and "revoked" in revoked.json()["detail"]
+    assert either.http.get(job, headers=_headers(second["secret"])).status_code == 200
+
+
+def test_a_link_does_not_tell_whose_the_job_is(api: Api) -> None:
+    """Neither the name of the key, nor the sweep that the job is of."""
+    key = api.http.post("/v1/keys", json={"name": "ann", "scopes": ["admin"]}).json()["secret"]
+    sweep = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}]}
+    api.http.post("/v1/sweeps", json=sweep, headers=_headers(key))
+    (job,) = api.http.get("/v1/jobs", headers=_headers(key)).json()["items"]
+    address = f"/v1/jobs/{job['id']}"
+    link = api.http.post(f"{address}/share-links", headers=_headers(key)).json()["secret"]
+    shown = api.http.get(address, headers=_headers(link)).json()
+    assert job["owner"] == "ann" and job["sweep"]
+    assert shown == job | {"owner": "", "sweep": None, "queue_position": 0}
+
+
+def test_links_go_with_the_job_and_with_the_key(api: Api, run: RunRecord) -> None:
+    """A deleted job's and a revoked key's links are worth nothing, and no rows are left."""
+    root = api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]}).json()["secret"]
+    ann = api.http.post("/v1/keys", json={"name": "ann"}, headers=_headers(root)).json()["secret"]
+    api.http.headers.update(_headers(ann))
+    jobs = [f"/v1/jobs/{api.finished(run)}" for _ in range(2)]
+    links = [api.http.post(f"{job}/share-links").json()["secret"] for job in jobs]
+    assert api.http.delete(jobs[0]).status_code == 204
+    api.http.headers.update(_headers(root))
+    assert api.http.delete("/v1/keys/ann").status_code == 204
+    for job, link in zip(jobs, links, strict=True):
+        assert api.http.get(job, headers=_headers(link)).status_code == 401
+    assert api.http.get(jobs[1]).status_code == 200
+    with api.context.engine.connect() as connection:
+        assert connection.execute(sa.select(ShareLinkRow)).all() == []
+
+
+def test_a_link_shows_no_later_job_of_the_same_id(api: Api) -> None:
+    """What was removed without the API and submitted again is another job."""
+    again = {"Idempotency-Key": "mine"}
+    job = api.http.post("/v1/jobs", json=MORPH, headers=again).json()["id"]
+    link = api.http.post(f"/v1/jobs/{job}/share-links").json()["secret"]
+    api.http.post(f"/v1/jobs/{job}/cancel")
+    api.context.queue.delete(job)
+    api.context.storage.remove_job(job)
+    assert api.http.get(f"/v1/jobs/{job}", headers=_headers(link)).status_code == 404
+    assert api.http.post("/v1/jobs", json=MORPH, headers=again).json()["id"] == job
+    assert api.http.get(f"/v1/jobs/{job}", headers=_headers(link)).status_code == 404
+    assert api.http.get(f"/v1/jobs/{job}/share-links").json() == []
+
+
+def test_a_job_has_so_many_links(api: Api) -> None:
+    """One more is refused until another is revoked."""
+    links = f"/v1/jobs/{api.submit()['id']}/share-links"
+    made = [api.http.post(links) for _ in range(SHARE_LINKS)]
+    assert {answer.status_code for answer in made} == {201}
+    assert api.http.post(links).status_code == 429
+    assert api.http.delete(made[0].headers["Location"]).status_code == 204
+    assert api.http.post(links).status_code == 201
+
+
+def test_a_link_survives_a_retry(api: Api, run: RunRecord) -> None:
+    """The job is computed anew, and is the same job."""
+    job = f"/v1/jobs/{api.finished(run)}"
+    link = _headers(api.http.post(f"{job}/share-links").json()["secret"])
+    assert api.http.post(f"{job}/retry").status_code == 202
+    assert api.http.get(job, headers=link).json()["state"] == "queued"
+
+
+def test_without_keys_a_link_stays_on_this_machine(api: Api) -> None:
+    """What keeps others out holds for links, too."""
+    job = f"/v1/jobs/{api.submit()['id']}"
+    link = _headers(api.http.post(f"{job}/share-links").json()["secret"])
+    assert api.http.get(job, headers=link | {"Host": "evil.example"}).status_code == 403
+    assert api.http.get(job, headers=link).status_code == 200
