@@ -14,7 +14,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from chamfer_morph.server.app import create_app
-from chamfer_morph.server.database.api_keys import ApiKeyStore, Caller, secret_digest
+from chamfer_morph.server.database.api_keys import ApiKeyStore
+from chamfer_morph.server.database.callers import Caller, secret_digest
 from chamfer_morph.server.database.tables import KeyRow
 from tests.integration.api.conftest import MORPH, Api
 
