@@ -7,6 +7,11 @@ processes (a worker, an engine, the API, the janitor, the supervisor itself) get
 engines are killed faster than they start on a busy machine, a job has ten attempts here. In the end
 every job must have succeeded once, with the particles of a run that nothing disturbed, and with
 at most one frame computed again for each kill.
+
+    python -m benchmarks.soak --kills 0 --jobs 2000
+
+Kills nothing, and measures instead whether the service grows: memory and open files of its lasting
+processes, and how long an answer takes, in the last fifth of the jobs against the second.
 """
 
 from __future__ import annotations
@@ -14,8 +19,10 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import signal
 import socket
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -38,6 +45,10 @@ KINDS = {
     "supervisor": ["chamfer_morph.server", "serve"],
 }
 PATIENCE_SECONDS = 1800.0
+"""How long jobs may take together, or one of them where nothing is killed [s]."""
+
+LASTING = ("API", "janitor", "worker", "supervisor")
+LARGEST_GROWTH = 1.1
 
 
 @dataclass
@@ -94,6 +105,15 @@ class Service:
             self.supervisor.terminate()
             self.supervisor.wait(20)
 
+    def size(self) -> dict[str, float]:
+        """Memory [bytes] and open files of the processes that last."""
+        found = [(kind, process) for kind in LASTING for process in self._family().get(kind, [])]
+        size: Counter[str] = Counter()
+        for kind, process in found:
+            size[f"memory of {kind}"] += process.memory_info().rss
+            size[f"files of {kind}"] += process.num_fds()
+        return dict(size)
+
     def _family(self) -> dict[str, list[psutil.Process]]:
         """Processes of this service by kind; those of a dead supervisor may still be about."""
         family: dict[str, list[psutil.Process]] = {}
@@ -131,8 +151,14 @@ def main() -> int:
         started = time.monotonic()
         try:
             jobs = [submit(service, number, options.frames) for number in range(options.jobs)]
-            states = kill_until_done(service, chance, jobs, options.kills, options.interval)
-            faults = [fault for job in jobs for fault in faults_of(service, job, states, expected)]
+            growth: list[str] = []
+            if options.kills:
+                states = kill_until_done(service, chance, jobs, options.kills, options.interval)
+            else:
+                states, growth = measure_until_done(service, jobs)
+            faults = growth + [
+                fault for job in jobs for fault in faults_of(service, job, states, expected)
+            ]
             again = sum(max(len(frames(service, job)) - options.frames, 0) for job in jobs)
         finally:
             service.stop()
@@ -212,6 +238,37 @@ def kill_until_done(
         unfinished = [job for job in jobs if states.get(job) in (None, "queued", "running")]
         if not unfinished or time.monotonic() > deadline:
             return states
+
+
+def measure_until_done(service: Service, jobs: list[str]) -> tuple[dict[str, str], list[str]]:
+    """Measure while jobs run; returns the state of every job there is, and what has grown."""
+    samples: list[tuple[int, dict[str, float]]] = []
+    finished, since = 0, time.monotonic()
+    while finished < len(jobs) and time.monotonic() - since < PATIENCE_SECONDS:
+        began = time.perf_counter()
+        ask(service, "GET", "/v1/jobs", params={"limit": 20})
+        sample = {"answer": time.perf_counter() - began} | service.size()
+        metrics = httpx.get(f"http://127.0.0.1:{service.port}/metrics", timeout=20).text
+        counts = re.findall(r'^morph_jobs{state="(?:succeeded|failed)"} (\S+)', metrics, re.M)
+        now = int(sum(map(float, counts)))
+        if now > finished:
+            finished, since = now, time.monotonic()
+        samples.append((finished, sample))
+        time.sleep(1)
+    grown = []
+    for name in sorted(samples[-1][1]):
+        first, last = (
+            statistics.median(
+                sample[name]
+                for count, sample in samples
+                if name in sample and low <= count / len(jobs) <= low + 0.2
+            )
+            for low in (0.2, 0.8)
+        )
+        print(f"{name}: {first:.4g} in the second fifth, {last:.4g} in the last")
+        if last > LARGEST_GROWTH * first:
+            grown.append(f"{name} has grown by {100 * (last / first - 1):.0f} %")
+    return listed(service), grown
 
 
 def listed(service: Service) -> dict[str, str]:
