@@ -32,6 +32,8 @@ VIEWS: dict[str, tuple[str, ...]] = {
     "/": ("src/views/jobs/jobs.js",),
     "/new": ("src/views/new/new.js",),
     "/compare": ("src/views/compare/compare.js", "src/viewer/viewer.js"),
+    "/gallery": ("src/views/gallery/gallery.js",),
+    "/shared/{job_id}": ("src/views/job/job.js", "src/viewer/viewer.js"),
     "/jobs/{job_id}": ("src/views/job/job.js", "src/viewer/viewer.js"),
 }
 """Modules that the page will ask for at an address, as the build's manifest calls them."""

@@ -5,6 +5,7 @@ import { fill, h, svg } from "./dom.js";
 import { forgetKey, key, missing } from "./key.js";
 import { available, notifies, startNotifying, switchNotifying } from "./notifications.js";
 import { poll } from "./polling.js";
+import { shared } from "./share_link.js";
 import { switchTheme, theme } from "./theme.js";
 
 const MARK = "M9 1.5a7.5 7.5 0 1 0 0 15 7.5 7.5 0 0 0 0-15zM9 9h13.5v13.5H9z";
@@ -13,8 +14,13 @@ const MOON = "M20 14.5A8.5 8.5 0 0 1 9.5 4 8.5 8.5 0 1 0 20 14.5z";
 const BELL = "M6 17V11a6 6 0 0 1 12 0v6l2 2H4zM10 22h4M12 2v3";
 const PAUSE = 10_000; // [ms] between looks at the service
 
-/** Fill the header. */
+/** Fill the header; that of a shared job leads nowhere else. */
 export function header(element) {
+  if (shared()) {
+    const brand = h("span", { class: "brand" }, drawing(MARK), h("span", null, "morph"));
+    fill(element, brand, h("div", { class: "header-end" }, h("span", null, "Shared with you"), themeButton()));
+    return;
+  }
   const health = h("span", { class: "health" });
   fill(
     element,
@@ -23,6 +29,7 @@ export function header(element) {
       "nav",
       { "aria-label": "Main" },
       h("a", { href: "/" }, "Jobs"),
+      h("a", { href: "/gallery" }, "Gallery"),
       h("a", { href: "/new" }, "New", h("span", { class: "wide" }, " morph")),
       h("a", { href: "/docs" }, "API"),
     ),

@@ -1,13 +1,15 @@
 /** The API key of this tab, and asking for it when the service wants one. */
 
 import { h } from "./dom.js";
+import { shared, sharedSecret } from "./share_link.js";
 
 const PLACE = "morph-key";
 let asking = null;
 let declined = false;
 
-/** The key, or an empty text. */
+/** The key, or what a share link has in its place, or an empty text. */
 export function key() {
+  if (shared()) return sharedSecret();
   return sessionStorage.getItem(PLACE) ?? "";
 }
 
@@ -33,7 +35,7 @@ export function askAgain() {
  * @param {Error} problem why one is needed; thrown if none is given
  */
 export function askForKey(problem) {
-  if (declined) return Promise.reject(problem);
+  if (declined || shared()) return Promise.reject(problem);
   asking ??= prompt(problem).finally(() => (asking = null));
   return asking;
 }

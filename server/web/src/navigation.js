@@ -26,7 +26,7 @@ export function replaceQuery(query) {
   for (const [name, value] of Object.entries(query)) {
     for (const one of [value].flat()) if (one) search.append(name, one);
   }
-  history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : ""));
+  history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : "") + location.hash);
   shown = address();
 }
 

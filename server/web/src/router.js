@@ -13,6 +13,8 @@ const ROUTES = [
   [/^\/$/, [], () => import("./views/jobs/jobs.js")],
   [/^\/new$/, [], () => import("./views/new/new.js")],
   [/^\/jobs\/([^/]+)$/, ["id"], () => (scene(), import("./views/job/job.js"))],
+  [/^\/shared\/([^/]+)$/, ["id"], () => (scene(), import("./views/job/job.js"))],
+  [/^\/gallery$/, [], () => import("./views/gallery/gallery.js")],
   [/^\/compare$/, [], () => (scene(), import("./views/compare/compare.js"))],
 ];
 

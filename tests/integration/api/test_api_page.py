@@ -28,7 +28,8 @@ def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_address_of_the_page_is_its_document(api: Api, built: Path) -> None:
     """The same document, asked for again each time; a HEAD tells as much."""
-    for path in ("/", "/new", f"/jobs/{'0' * 26}", "/compare?jobs=a,b"):
+    of_jobs = (f"/jobs/{'0' * 26}", f"/shared/{'0' * 26}", "/compare?jobs=a,b")
+    for path in ("/", "/new", "/gallery", *of_jobs):
         answer = api.http.get(path)
         assert answer.status_code == 200 and "<title>morph</title>" in answer.text
         assert answer.headers["content-type"] == "text/html; charset=utf-8"

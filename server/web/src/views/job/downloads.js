@@ -3,6 +3,7 @@ import { Problem, get, pause, post, save } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { bytes, jobFileName, lives, percent } from "../../format.js";
 import { COLOURS } from "../../viewer/colors.js";
+import { shared } from "../../share_link.js";
 import { problemNotice } from "../../problem_notice.js";
 
 const ASK_MILLISECONDS = 500;
@@ -22,7 +23,7 @@ export class Downloads {
       this.exports,
       this.trouble,
     );
-    this.#offerExports();
+    if (!shared()) this.#offerExports();
   }
 
   /** @param {object} job as it is now. */
@@ -55,9 +56,9 @@ export class Downloads {
           { format: "glb", units: "user" },
         ),
       some && this.#file("Metrics, CSV", `${root}/metrics`, () => `${named()}-metrics.csv`, { format: "csv" }),
-      this.#file("Log", `${root}/log`, () => `${named()}-log.txt`),
+      !shared() && this.#file("Log", `${root}/log`, () => `${named()}-log.txt`),
     );
-    this.exports.hidden = !some;
+    this.exports.hidden = !some || shared();
   }
 
   #file(label, path, name, query) {

@@ -9,6 +9,7 @@ import { fill, h } from "../../dom.js";
 import { jobFileName, jobName, lives, state as word } from "../../format.js";
 import { go, query, setQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
+import { shared } from "../../share_link.js";
 import { Display } from "../../viewer/display.js";
 import { Pace } from "../../viewer/pace.js";
 import { Panel } from "../../viewer/panel.js";
@@ -20,6 +21,7 @@ import { History } from "./history.js";
 import { landmarks } from "./landmarks.js";
 import { pictures } from "./pictures.js";
 import { settings } from "./settings.js";
+import { Sharing } from "./sharing.js";
 import { Summary } from "./summary.js";
 import { Watch } from "./watch.js";
 
@@ -51,6 +53,7 @@ export async function show(root, { id }, signal) {
   const pace = new Pace({ jobId: id, timeline, signal: there });
   display.element.append(pace.element);
   const summary = new Summary({ changed: () => changed(), signal });
+  const sharing = shared() ? null : new Sharing({ jobId: id, signal });
   const history = new History();
   const downloads = new Downloads({ jobId: id, frame: () => Math.max(timeline.index, 0), signal });
   const rows = new Map();
@@ -130,7 +133,7 @@ export async function show(root, { id }, signal) {
   const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
   const sheets = [
-    { name: "overview", title: "Overview", content: [summary.element, history.element] },
+    { name: "overview", title: "Overview", content: [summary.element, sharing?.element, history.element] },
     {
       name: "curves",
       title: "Curves",

@@ -1,6 +1,7 @@
 /** The settings of a job: those that differ from its preset first, all of them on demand. */
 import { get } from "../../api.js";
 import { fill, h } from "../../dom.js";
+import { shared } from "../../share_link.js";
 
 /** @returns {HTMLElement} which fills itself. */
 export function settings(job, config, signal) {
@@ -11,6 +12,10 @@ export function settings(job, config, signal) {
     h("h2", { id: "settings" }, "Settings"),
     body,
   );
+  if (shared()) {
+    show(body, job, config, null); // presets are no business of a share link
+    return section;
+  }
   get(`/presets/${encodeURIComponent(job.preset)}`, { query: { method: job.method }, signal })
     .then(({ config: preset }) => show(body, job, config, preset))
     .catch(() => !signal.aborted && show(body, job, config, null));

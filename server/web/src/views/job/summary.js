@@ -4,6 +4,7 @@ import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
 import { count, duration, jobName, jobShapes, lives, number, plural, state as word, when } from "../../format.js";
 import { go } from "../../navigation.js";
+import { shared } from "../../share_link.js";
 import { inTitles, problemNotice } from "../../problem_notice.js";
 import { MAX_COMPARED } from "../compare/max_compared.js";
 import { actions } from "../jobs/actions.js";
@@ -63,7 +64,7 @@ export class Summary {
           .join(" · "),
       ),
     );
-    this.#part("buttons", [state], () => [
+    if (!shared()) this.#part("buttons", [state], () => [
       actions(job, this.changed),
       h(
         "div",

@@ -3,6 +3,7 @@ import { events, get, pause } from "../../api.js";
 import { lives } from "../../format.js";
 
 const ASK_MILLISECONDS = 2500;
+const GONE = [401, 404]; // the key or the share link was revoked; the job was deleted
 
 /**
  * Watches a job until the signal ends it. While the tab is hidden the stream is closed, since a
@@ -79,7 +80,7 @@ export class Watch {
       if (!signal.aborted) await this.ask();
     } catch (error) {
       if (signal.aborted) return;
-      if (error.status === 404) throw error;
+      if (GONE.includes(error.status)) throw error;
       this.heard.onConnection(false);
       await pause(ASK_MILLISECONDS, this.signal);
     } finally {
@@ -133,7 +134,7 @@ export class Watch {
         await this.ask();
         if (before !== this.job.state) this.#wake?.();
       } catch (error) {
-        if (error.status === 404) throw error; // else the stream tells that the service is gone
+        if (GONE.includes(error.status)) throw error; // else the stream tells that the service is gone
       }
     }
   }
