@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
 import sqlalchemy as sa
 
+from chamfer_morph.client import MorphClient
+from chamfer_morph.client.errors import ServiceError
 from chamfer_morph.server.database.tables import ShareLinkRow
 from chamfer_morph.server.quotas import SHARE_LINKS
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import MORPH, Api
+
+COMMAND = Path(sys.executable).with_name("morph")
 
 
 def _headers(secret: str) -> dict[str, str]:
@@ -104,3 +116,41 @@ def test_without_keys_a_link_stays_on_this_machine(api: Api) -> None:
     link = _headers(api.http.post(f"{job}/share-links").json()["secret"])
     assert api.http.get(job, headers=link | {"Host": "evil.example"}).status_code == 403
     assert api.http.get(job, headers=link).status_code == 200
+
+
+def test_the_client_shares(api: Api) -> None:
+    """A link's secret is a key that reads the job, and no other thing."""
+    job, other = api.submit()["id"], api.submit()["id"]
+    server = str(api.http.base_url)
+    with MorphClient(server) as client:
+        link = client.share(job)
+        assert [each.id for each in client.share_links(job)] == [link.id]
+        with MorphClient(server, key=link.secret) as visitor:
+            assert visitor.job(job).id == job
+            for refused in (lambda: visitor.job(other), lambda: visitor.cancel(job)):
+                with pytest.raises(ServiceError):
+                    refused()
+        client.revoke_share_link(job, link.id)
+        assert client.share_links(job) == []
+
+
+def test_the_command_shares(api: Api) -> None:
+    """`morph share` prints a URL, lists links, and revokes one or all of them."""
+    job = api.submit()["id"]
+    server = str(api.http.base_url).rstrip("/")
+
+    def share(*arguments: str) -> Any:
+        ran = subprocess.run(
+            [COMMAND, "share", job, "--server", server, "--json", *arguments],
+            env={name: value for name, value in os.environ.items() if name[:6] != "MORPH_"},
+            capture_output=True, text=True, timeout=120, check=True,
+        )  # fmt: skip
+        return json.loads(ran.stdout)
+
+    made = [share() for _ in range(3)]
+    assert made[0]["url"] == f"{server}/shared/{job}#{made[0]['secret']}"
+    ids = [link["id"] for link in made]
+    assert [link["id"] for link in share("--list")["links"]] == ids
+    assert share("--revoke-link", ids[0])["revoked"] == ids[:1]
+    assert share("--revoke")["revoked"] == ids[1:]
+    assert share("--list")["links"] == []
