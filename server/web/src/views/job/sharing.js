@@ -66,7 +66,7 @@ export class Sharing {
     const made = `Made ${when(link.created_at)}`;
     const revoke = h(
       "button",
-      { type: "button", class: "plain compact", "aria-label": `Revoke the link: ${made}`, on: { click: () => this.#revoke(link, entry) } },
+      { type: "button", class: "compact", "aria-label": `Revoke the link: ${made}`, on: { click: () => this.#revoke(link, entry) } },
       "Revoke",
     );
     const entry = h("li", null, link.path ? this.#address(link) : h("span", { class: "small" }, made), revoke);
