@@ -31,7 +31,7 @@ export function header(element) {
       h("a", { href: "/" }, "Jobs"),
       h("a", { href: "/gallery" }, "Gallery"),
       h("a", { href: "/new" }, "New", h("span", { class: "wide" }, " morph")),
-      h("a", { href: "/docs" }, "API"),
+      h("a", { class: "wide", href: "/docs" }, "API"),
     ),
     h("div", { class: "header-end" }, health, keyButton(), notifyButton(), themeButton()),
   );
@@ -50,8 +50,8 @@ async function look(health) {
     const busy = workers.filter((worker) => worker.job).length;
     if (workers.length === 0) show(health, "warn", "No worker");
     else {
-      const noun = h("span", { class: "wide" }, workers.length === 1 ? "worker " : "workers ");
-      show(health, "good", `${busy} of ${workers.length} `, noun, "busy");
+      const noun = workers.length === 1 ? "worker " : "workers ";
+      show(health, "good", `${busy} of ${workers.length}`, h("span", { class: "wide" }, " ", noun, "busy"));
     }
   } catch (error) {
     if (error.status !== 401 && error.status !== 403) throw error;
