@@ -24,7 +24,9 @@ def shorten() -> None:
     Kernels and their cache stay the same.
     """
     with _no_search_of_modules():
-        importlib.import_module("taichi")  # before its modules: a lazy package is loaded twice else
+        # before its modules: a lazy package is loaded twice else, and until its first use not at all
+        # (Python 3.10)
+        _ = importlib.import_module("taichi").__version__
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
