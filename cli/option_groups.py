@@ -7,20 +7,21 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter
-from typing import Any, get_type_hints
+from typing import Any
 
 
 def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the fields of its dataclasses as parameters in place of these."""
     groups: dict[str, Any] = {}
     parameters: list[Parameter] = []
-    hints = get_type_hints(command, include_extras=True)
-    for name, parameter in inspect.signature(command).parameters.items():
-        if is_dataclass(hints[name]):
-            groups[name] = hints[name]
-            parameters += inspect.signature(hints[name], eval_str=True).parameters.values()
+    # get_type_hints of Python 3.10 would hide the options of parameters that may be None
+    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+        kind: Any = parameter.annotation
+        if is_dataclass(kind):
+            groups[name] = kind
+            parameters += inspect.signature(kind, eval_str=True).parameters.values()
         else:
-            parameters.append(parameter.replace(annotation=hints[name]))
+            parameters.append(parameter)
     parameters = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in parameters]
 
     @wraps(command)

@@ -24,8 +24,7 @@ def shorten() -> None:
     Kernels and their cache stay the same.
     """
     with _no_search_of_modules():
-        # before its modules: a lazy package is loaded twice else, and until its first use not at all
-        # (Python 3.10)
+        # before its modules: a lazy package is loaded twice else, and in Python 3.10 at first use
         _ = importlib.import_module("taichi").__version__
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
