@@ -11,7 +11,10 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.dbos_adapter import WorkflowTable
+from chamfer_morph.worker.job_state import statuses
+from chamfer_morph.worker.places import in_own_order, rank_in_front
 
 WORKFLOW = "morph"
 QUEUE = "jobs"
@@ -64,23 +67,40 @@ class OwnQueue:
         with self._workflows.begin() as connection:
             connection.execute(sa.delete(_PAUSED_OWNERS).where(_PAUSED_OWNERS.c.owner == owner))
             paused = connection.execute(self._waiting(owner, PAUSED_QUEUE)).all()
-            for place, (job, *_) in enumerate(_in_own_order(paused), first_place):
+            for place, (job, *_) in enumerate(in_own_order(paused), first_place):
                 self._change(connection, job, queue_name=QUEUE, priority=place)
 
     def settle(self, owner: str) -> None:
         """Move jobs that were queued while their owner paused, or ended a pause."""
         self._move(owner, self.queue_of(owner))
 
+    def move_finished(self, job_id: str, place: int) -> None:
+        """Give a finished job the place that it has once it is queued again."""
+        c = self._workflows.table.c
+        finished = c.status.not_in(
+            [status for state in JobState if not state.finished for status in statuses(state)]
+        )
+        with self._workflows.begin() as connection:
+            connection.execute(
+                sa.update(self._workflows.table)
+                .where(c.workflow_uuid == job_id, finished)
+                .values(priority=place)
+            )
+
     def put_first(self, owner: str, job_id: str) -> bool:
         """Start a queued job before all others of its owner; False if it is not queued."""
         c = self._workflows.table.c
         with self._workflows.begin() as connection:
-            query = sa.select(c.attributes).where(c.workflow_uuid == job_id, c.status == ENQUEUED)
+            query = sa.select(c.attributes, c.queue_name).where(
+                c.workflow_uuid == job_id, c.status == ENQUEUED
+            )
             row = connection.execute(query.with_for_update()).one_or_none()
             if row is None:
                 return False
-            first = (row[0] or {}) | {"first": time.time_ns() // 1000}
-            self._change(connection, job_id, attributes=first)
+            attributes, queue = row
+            others = connection.execute(self._waiting(owner, queue)).all()
+            rank = rank_in_front(others, time.time_ns() // 1000)
+            self._change(connection, job_id, attributes=(attributes or {}) | {"first": rank})
         self.order(owner)
         return True
 
@@ -89,7 +109,7 @@ class OwnQueue:
         with self._workflows.begin() as connection:
             jobs = connection.execute(self._waiting(owner, QUEUE)).all()
             places = sorted(place for _, place, *_ in jobs)
-            for (job, place, *_), better in zip(_in_own_order(jobs), places, strict=True):
+            for (job, place, *_), better in zip(in_own_order(jobs), places, strict=True):
                 if place != better:
                     self._change(connection, job, priority=better)
 
@@ -135,8 +155,3 @@ class OwnQueue:
             .where(c.workflow_uuid == job_id, c.status == ENQUEUED)
             .values(values)
         )
-
-
-def _in_own_order(jobs: Any) -> list[Any]:
-    """Those moved to the front, the last moved first; then by priority; then by age."""
-    return sorted(jobs, key=lambda job: (-int(job[3] or 0), job[2] or 0))

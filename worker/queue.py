@@ -43,6 +43,7 @@ from chamfer_morph.worker.own_queue import (
     WORKFLOW,
     OwnQueue,
 )
+from chamfer_morph.worker.places import next_place
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import StoreUnavailableError, open_storage
 from chamfer_morph.worker.webhooks.job_changes import create_triggers
@@ -478,6 +479,7 @@ class JobQueue:
         job = self.get(job_id)
         owner = job.owner if job else ""
         queue = self._own.queue_of(owner or NOBODY)
+        self._own.move_finished(job_id, self._next_place(owner))  # its old one would be unfair
         try:
             self._client.rewind_workflow(
                 job_id, application_version=APPLICATION_VERSION, queue_name=queue
@@ -485,6 +487,7 @@ class JobQueue:
         except dbos_error.DBOSException as error:
             raise JobChangedError(str(error)) from error
         self._settle(owner, queue)
+        self._own.order_by_priority(owner or NOBODY, job.priority if job else 0)
         self.wake_workers()
 
     def _settle(self, owner: str, queue: str) -> None:
@@ -500,12 +503,9 @@ class JobQueue:
         query = sa.select(
             last.where(self._and_owned_by(owner)).scalar_subquery(),
             last.where(running).scalar_subquery(),
-            self._select(sa.func.min(c.priority) - 1)
-            .where(self._in_flight, queued)
-            .scalar_subquery(),
+            self._select(sa.func.min(c.priority)).where(self._in_flight, queued).scalar_subquery(),
         )
-        own, started, waiting = self._rows(query)[0]
-        return 1 + max(own or 0, started if started is not None else waiting or 0)
+        return next_place(*self._rows(query)[0])
 
     @cached_property
     def _version(self) -> sa.Select[Any]:

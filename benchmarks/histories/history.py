@@ -1,38 +1,26 @@
-"""Seeded histories of jobs: what owners, workers and the janitor do, in an order drawn by chance.
+"""A history: what owners, two worker slots and the janitor do, in an order drawn by chance.
 
-    python -m benchmarks.histories --count 10000 --first 0
-
-The queue, its database (SQLite), job folders and locks are the real ones, as are the statements by
-which DBOS claims a job, queues it again and records its outcome. Only engines, processes and the
-polling around them are played. Calls alternate whole: nothing is interrupted within a transaction.
-A history that breaks a rule is named by its number, and `--first NUMBER --count 1` repeats it.
+Only engines, processes, the polling around them and the clock are played. Calls alternate whole:
+nothing is interrupted within a transaction.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import random
-import sys
-import tempfile
-import time
 from collections import Counter
-from contextlib import closing, suppress
-from pathlib import Path
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
+from unittest.mock import patch
 
-from dbos import error as dbos_error
-
+from benchmarks.histories.grounds import Ground, try_lock
 from chamfer_morph.schemas import BuiltInShape, JobState, Outcome
 from chamfer_morph.schemas.ids import new_id
-from chamfer_morph.worker import janitor, locks
-from chamfer_morph.worker.dbos_adapter import SERIALIZER
+from chamfer_morph.worker import janitor
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import allowed
-from chamfer_morph.worker.own_queue import QUEUE
-from chamfer_morph.worker.queue import APPLICATION_VERSION, JobChangedError, JobQueue
-from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.queue import JobChangedError
 from morph_engine.presets import configure
 
 OWNERS = ("ann", "bob")
@@ -41,11 +29,46 @@ STEPS = 14
 ACTIONS = (
     "submit", "submit", "claim", "claim", "claim", "compute", "publish", "publish", "fail", "crash",
     "lose_lock", "adopt", "cancel", "resume", "retry", "pause", "unpause", "put_first", "delete",
+    "jump",
 )  # fmt: skip
+
+BEGIN = 1_900_000_000.0
+"""The time at which every history begins [s since 1970]."""
+
+JUMP_SECONDS = 3600
 
 
 class Violation(AssertionError):
     """A rule that every history must keep is broken."""
+
+
+class Clock:
+    """A clock that histories move; in units of 1/8 s, which are whole milliseconds and exact."""
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Set it to the time at which histories begin."""
+        self._now = BEGIN
+
+    def time(self) -> float:
+        """The time [s since 1970]."""
+        return self._now
+
+    def time_ns(self) -> int:
+        """The same [ns]."""
+        return int(self._now * 1e9)
+
+    def move(self, units: int) -> None:
+        """Go on, or back, so many units."""
+        self._now += units / 8
+
+    @contextmanager
+    def everywhere(self) -> Iterator[None]:
+        """Let all code of this process, and SQLite, read it."""
+        with patch("time.time", self.time), patch("time.time_ns", self.time_ns):
+            yield
 
 
 class Run:
@@ -59,15 +82,18 @@ class Run:
 
 
 class World:
-    """Owners, two worker slots and a janitor around one real queue."""
+    """Owners, two worker slots and a janitor around one queue.
 
-    def __init__(self, folder: Path) -> None:
-        self.settings = Settings(_env_file=None, data_dir=folder)
-        self.queue = JobQueue(self.settings)
-        self.queue.migrate()
-        self.storage = Storage(folder)
-        self._dbos: Any = self.queue._client._sys_db
-        self._lane = self.queue._client.retrieve_queue(QUEUE)
+    Args:
+        ground: The queue and what workers do to it.
+        real_clock: Let the clock be that of the machine, as Postgres does.
+    """
+
+    def __init__(self, ground: Ground, *, real_clock: bool = False) -> None:
+        self.ground = ground
+        self.queue = ground.queue
+        self._clock = Clock()
+        self._on_clock = nullcontext if real_clock else self._clock.everywhere
         self._spec = JobSpec(
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),
@@ -76,35 +102,53 @@ class World:
         )
 
     def close(self) -> None:
-        """Give the connections back."""
-        self.queue.close()
+        """Give everything back."""
+        self.ground.close()
 
-    def play(self, number: int) -> None:
+    def play(self, number: int) -> list[Any]:
         """Play a history.
+
+        Returns:
+            What was seen after each step, which is the same on every ground.
 
         Raises:
             Violation: A rule is broken; the message says which, and what was done until then.
         """
+        with self._on_clock():
+            self.begin(number)
+            try:
+                for _ in range(STEPS):
+                    self.step(self._chance.choice(ACTIONS))
+                self.finish()
+            except Violation as violation:
+                raise Violation(f"history {number}: {violation}; {', '.join(self._done)}") from None
+            finally:
+                self.clear()
+        return self._seen
+
+    def begin(self, number: int) -> None:
+        """Start a history without jobs."""
+        self._clock.begin()
         self._number, self._count = number, itertools.count()
         self._chance = random.Random(number)
         self._jobs: list[str] = []
+        self._owners: dict[str, str] = {}
         self._fresh: set[str] = set()  # to be computed from the beginning
         self._outcomes: dict[str, str] = {}  # token of the run whose outcome stands
+        self._last_token: dict[str, str] = {}  # of the run that each job was given to last
         self._runs: dict[str, Run | None] = dict.fromkeys(SLOTS)
         self._ghosts: list[Run] = []  # of workers that have lost their lock and do not know it
         self._locks = {slot: self._lock(slot) for slot in SLOTS}
         self._done: list[str] = []
-        try:
-            for _ in range(STEPS):
-                self._step(self._chance.choice(ACTIONS))
-            self._finish()
-        except Violation as violation:
-            raise Violation(f"history {number}: {violation}; {', '.join(self._done)}") from None
-        finally:
-            self._clear()
+        self._seen: list[Any] = []
+        self._queued_at: dict[str, tuple[int, float]] = {}  # step and time at which it was queued
+        self._alone_since: dict[str, int] = {}  # the step since which it waits as its owner's only
+        self._passed: dict[str, set[str]] = {}  # later jobs of others that went before it
 
-    def _step(self, action: str) -> None:
+    def step(self, action: str) -> None:
+        """Do one thing, and see that the rules are kept."""
         self._done.append(action)
+        self._clock.move(self._chance.randint(1, 16))
         before = self.queue.states(self._jobs)
         touched = getattr(self, f"_{action}")()
         after = self.queue.states(self._jobs)
@@ -113,14 +157,44 @@ class World:
         for job, state in before.items():
             if state.finished and job in after and after[job] is not state and job != touched:
                 raise Violation(f"{job} was {state.value} and is {after[job].value}")
+        self._seen.append((action, touched, [after[job].value for job in self._jobs]))
+        self._note_turns(after)
+
+    def _now(self) -> tuple[int, float]:
+        """Number of this step, and the time."""
+        return len(self._done), self._clock.time()
+
+    def _note_turns(self, states: Mapping[str, JobState]) -> None:
+        """Keep which queued jobs are the only ones of their owners that are not finished."""
+        unfinished = [job for job in self._jobs if not states[job].finished]
+        owners = Counter(self._owners[job] for job in unfinished)
+        for job in self._jobs:
+            if states[job] is JobState.QUEUED and owners[self._owners[job]] == 1:
+                self._alone_since.setdefault(job, len(self._done))
+            else:
+                self._alone_since.pop(job, None)
+                self._passed[job] = set()
+
+    def _check_turn(self, started: str, waiting: Collection[str]) -> None:
+        """Whoever has one job waits at most for one that another owner has queued later."""
+        for job in waiting:
+            since = self._alone_since.get(job)
+            if since is None:
+                continue
+            step, at = self._queued_at[started]
+            later = step > since and at > self._queued_at[job][1]  # the clock may be set back
+            if later and self._owners[job] != self._owners[started]:
+                self._passed.setdefault(job, set()).add(started)
+                if len(self._passed[job]) > 1:
+                    raise Violation("two jobs that were queued later go before an owner's only one")
 
     def _submit(self) -> None:
-        job = f"history{self._number:08d}job{next(self._count):02d}"  # the same at each repetition
+        job = f"history{self._number:08d}job{next(self._count):02d}"
         priority = self._chance.choice((50, 100))
-        self.queue.enqueue(
-            self._spec, job_id=job, owner=self._chance.choice(OWNERS), priority=priority
-        )
+        owner = self._owners[job] = self._chance.choice(OWNERS)
+        self.queue.enqueue(self._spec, job_id=job, owner=owner, priority=priority)
         self._jobs.append(job)
+        self._queued_at[job] = self._now()
 
     def _claim(self) -> None:
         slot = self._chance.choice(SLOTS)
@@ -128,9 +202,7 @@ class World:
             return
         run = Run("", slot)
         waiting = [r for job in self._jobs if (r := self.queue.get(job)) and self._waits(r)]
-        claimed, _ = self._dbos.start_queued_workflows(
-            self._lane, slot, APPLICATION_VERSION, None, owner_xid=run.token
-        )
+        claimed = self.ground.claim(slot, run.token)
         if bool(claimed) != bool(waiting):
             raise Violation(f"{len(claimed)} of {len(waiting)} waiting jobs are started")
         if not claimed:
@@ -138,27 +210,23 @@ class World:
         (run.job,) = claimed
         if run.job not in {record.id for record in waiting}:
             raise Violation("a job is started that waits not, or whose owner has paused")
+        self._check_turn(run.job, [record.id for record in waiting])
         holders = [r for r in self._runs.values() if r and r.job == run.job and not r.replaceable]
         if holders:
             raise Violation("a job is given to a second worker while the first lives")
-        self._runs[slot] = run
-        self.storage.discard_if_marked(run.job, wait_seconds=0)
-        folder = self.storage.job_dir(run.job)
-        folder.mkdir(exist_ok=True)
-        if run.job in self._fresh and (folder / "frames").exists():
+        self._runs[slot], self._last_token[run.job] = run, run.token
+        self._seen.append(run.job)
+        began_with_frames = self.ground.begin(run.job)
+        if run.job in self._fresh and began_with_frames:
             raise Violation("a retried job begins with frames of before")
         self._fresh.discard(run.job)
 
     def _compute(self) -> None:
         for run in self._holders():
-            try:
-                with self._dbos.engine.begin() as connection:
-                    self._dbos._check_owner_txn(connection, run.job, run.token)
-            except dbos_error.DBOSWorkflowConflictIDError:
-                self._leave(run)
+            if self.ground.owns(run.job, run.token):
+                self.ground.add_frame(run.job)
             else:
-                with suppress(FileNotFoundError):
-                    (self.storage.job_dir(run.job) / "frames").touch()
+                self._leave(run)
 
     def _publish(self) -> str | None:
         return self._end("SUCCESS")
@@ -174,13 +242,8 @@ class World:
             sha256=run.token.encode().hex().ljust(64, "0")[:64], size_bytes=1, frames=1, metrics={},
             particle_count=1, target_count=1, cpu_seconds=0, peak_memory_mb=0,
         )  # fmt: skip
-        written = self._dbos.update_workflow_outcome(
-            run.job,
-            status,
-            output=SERIALIZER.serialize(outcome.model_dump(mode="json")),
-            owner_xid=run.token,
-        )
-        if written and (run.replaceable and self._given_on(run)):
+        written = self.ground.write_outcome(run.job, status, outcome, run.token)
+        if written and self._last_token[run.job] != run.token:
             raise Violation("a worker that lost its job has written its outcome")
         self._leave(run)
         record = self.queue.get(run.job)
@@ -190,11 +253,6 @@ class World:
             if record.outcome.sha256 != self._outcomes.get(run.job):
                 raise Violation("an outcome has been overwritten")
         return None
-
-    def _given_on(self, run: Run) -> bool:
-        """Whether the job of a run has been claimed by another since."""
-        others = [*self._runs.values(), *self._ghosts]
-        return any(r is not run and r and r.job == run.job for r in others)
 
     def _crash(self) -> None:
         self._end_slot(self._chance.choice(SLOTS))
@@ -214,18 +272,13 @@ class World:
 
     def _adopt(self) -> None:
         """What the janitor does, and then the start of slots that are gone."""
-        janitor.adopt_orphans(self.settings, self.queue, self._queue_again)
+        janitor.adopt_orphans(self.ground.settings, self.queue, self.ground.queue_again)
         for slot in SLOTS:
             if self._locks[slot] is None and slot not in self.queue.running():
                 self._locks[slot] = self._lock(slot)
 
-    def _queue_again(self, slot: str) -> None:
-        """What a DBOS process of this name does at its start."""
-        for pending in self._dbos.get_pending_workflows(slot, APPLICATION_VERSION):
-            self._dbos.reenqueue_for_recovery(pending.workflow_id, [slot], QUEUE)
-
     def _lock(self, slot: str) -> Any:
-        return locks.try_lock(self.settings, slot)
+        return try_lock(self.ground, slot)
 
     def _cancel(self) -> str | None:
         if job := self._pick("cancel"):
@@ -236,6 +289,7 @@ class World:
     def _resume(self) -> str | None:
         if job := self._pick("resume"):
             self.queue.resume(job)
+            self._queued_at[job] = self._now()
             self._let_go(job)
         return job
 
@@ -243,6 +297,7 @@ class World:
         if job := self._pick("retry"):
             self.queue.retry(job)
             self._fresh.add(job)
+            self._queued_at[job] = self._now()
             self._let_go(job)
         else:
             for busy in self._jobs[:1]:  # refused, and without a trace
@@ -257,14 +312,27 @@ class World:
             self._jobs.remove(job)
             self._let_go(job)
             self.queue.delete(job)
-            self.storage.remove_job(job)
+            self.ground.remove(job)
         return job
+
+    def _jump(self) -> None:
+        """The clock is set, by up to an hour forward or back."""
+        self._clock.move(self._chance.randint(-JUMP_SECONDS, JUMP_SECONDS) * 8)
 
     def _pause(self) -> None:
         self.queue.pause(self._chance.choice(OWNERS))
 
     def _unpause(self) -> None:
-        self.queue.unpause(self._chance.choice(OWNERS))
+        self._end_pause(self._chance.choice(OWNERS))
+
+    def _end_pause(self, owner: str) -> None:
+        """Jobs of this owner take places as if they were queued now."""
+        self.queue.unpause(owner)
+        for job in self._jobs:
+            if self._owners[job] == owner:
+                self._queued_at[job] = self._now()
+                self._passed.pop(job, None)
+                self._alone_since.pop(job, None)
 
     def _put_first(self) -> None:
         if (job := self._pick("next")) and not self.queue.get(job).paused:  # type: ignore[union-attr]
@@ -277,16 +345,16 @@ class World:
                     if self.queue.position(other) < place:  # type: ignore[operator]
                         raise Violation("the job put first is not the first of its owner")
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
         """Let everything end; every job must."""
         for owner in OWNERS:
-            self.queue.unpause(owner)
+            self._end_pause(owner)
         for _ in range(8 * len(self._jobs) + 8):
             if all(state.finished for state in self.queue.states(self._jobs).values()):
                 break
-            self._step("adopt")
-            self._step("claim")
-            self._step("publish")
+            self.step("adopt")
+            self.step("claim")
+            self.step("publish")
         states = Counter(self.queue.states(self._jobs).values())
         if any(not state.finished for state in states):
             raise Violation(f"jobs never end: {dict(states)}")
@@ -316,34 +384,11 @@ class World:
     def _waits(record: Any) -> bool:
         return record.state is JobState.QUEUED and not record.paused
 
-    def _clear(self) -> None:
+    def clear(self) -> None:
         for slot in SLOTS:
             self._end_slot(slot)
         for owner in OWNERS:
             self.queue.unpause(owner)
         for job in self._jobs:
             self.queue.delete(job)
-            self.storage.remove_job(job)
-
-
-def main() -> int:
-    """Play histories and print what came of it; returns the number that broke a rule."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.histories", description=__doc__)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first history")
-    options = parser.parse_args()
-    broken, cpu = 0, time.process_time()
-    with tempfile.TemporaryDirectory() as name, closing(World(Path(name))) as world:
-        for number in range(options.first, options.first + options.count):
-            try:
-                world.play(number)
-            except Violation as violation:
-                broken += 1
-                print(violation)
-    each = (time.process_time() - cpu) / options.count * 1e3
-    print(f"{options.count} histories, {each:.1f} ms of CPU time each, {broken} broke a rule")
-    return min(broken, 1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            self.ground.remove(job)
