@@ -1,1 +1,1 @@
-"""Seeded histories of jobs: what owners, workers and the janitor do, in an order drawn by chance."""
+"""Seeded histories of jobs: owners, workers and the janitor act in an order drawn by chance."""
