@@ -16,10 +16,9 @@ def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
     parameters: list[Parameter] = []
     # get_type_hints of Python 3.10 would hide the options of parameters that may be None
     for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
-        kind: Any = parameter.annotation
-        if is_dataclass(kind):
-            groups[name] = kind
-            parameters += inspect.signature(kind, eval_str=True).parameters.values()
+        if is_dataclass(parameter.annotation):
+            groups[name] = parameter.annotation
+            parameters += inspect.signature(groups[name], eval_str=True).parameters.values()
         else:
             parameters.append(parameter)
     parameters = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in parameters]
