@@ -8,8 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from chamfer_morph.reproduction.experiments.experiment import Experiment
+from chamfer_morph.reproduction.registry import select
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 CLAIMS = ("reproduction.md", "## The paper says, we find")
+COSTS = ("reproduction.md", "## What it costs")
 SPEEDS = ("presets.md", "## What the text's parameters do")
 DEFAULTS = ("presets.md", "## Why `fast` is what it is for `joint`")
 MEASURED = (
@@ -131,6 +135,27 @@ def records():
     """The committed records by the ids of their runs."""
     paths = DOCS.glob("results/runs/*.json")
     return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in paths}
+
+
+def test_costs_of_the_reproduction_are_those_of_the_records():
+    """Runs, CPU hours and mean seconds by method, of all that `morph reproduce all` computes."""
+    runs = {
+        run.id: run
+        for experiment in select(["all"])
+        if isinstance(experiment, Experiment)
+        for run in experiment.runs
+    }
+    known, seconds = records(), defaultdict(list)
+    for name, run in runs.items():
+        record = known[name]
+        kind = run.method if run.method in ("joint", "physics") else "points"
+        seconds[kind].append(record.get("cpu_seconds") or record["provenance"]["cpu_seconds"])
+    lines = table_lines(part(*COSTS))
+    for kind, (_, *shown, _) in zip(("joint", "physics", "points"), lines, strict=True):
+        total, count = sum(seconds[kind]), len(seconds[kind])
+        assert shown == [f"{count}", f"{total / 3600:.1f}", f"{total / count:.0f}"], kind
+    total = sum(map(sum, seconds.values()))
+    assert f"the {len(runs)} runs of `all` add up to {total / 3600:.1f} hours" in part(*COSTS)
 
 
 def numbers_of_runs():
