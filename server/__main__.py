@@ -11,6 +11,7 @@ import sys
 import tempfile
 from typing import TYPE_CHECKING
 
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.errors import MorphError
 
@@ -22,13 +23,12 @@ BAD_INPUT = 2
 
 def main() -> None:
     """Run one process until it is told to end."""
-    logging.basicConfig(
-        format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
-    )
-    logging.getLogger("chamfer_morph.audit").setLevel(logging.INFO)
+    arguments = _parser().parse_args()
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
-        sys.exit(_run(_parser().parse_args(), load_settings()))
+        settings = load_settings()
+        service_log.set_up(settings)
+        sys.exit(_run(arguments, settings))
     except MorphError as error:
         sys.stderr.write(f"{error.cause}\n{error.remedy}\n")
         sys.exit(BAD_INPUT)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
 import threading
 import time
 
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings, load_settings
 from chamfer_morph.worker.slots import WorkerSlots, executor_id
@@ -33,11 +33,10 @@ def main() -> None:
     adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
     adoption.add_argument("executor")
     arguments = parser.parse_args()
-    logging.basicConfig(
-        format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
-    )
     try:
-        _run(arguments, load_settings())
+        settings = load_settings()
+        service_log.set_up(settings)
+        _run(arguments, settings)
     except MorphError as error:
         sys.exit(f"{error.cause}\n{error.remedy}")
 

@@ -6,7 +6,7 @@ import difflib
 import ipaddress
 import os
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -61,6 +61,11 @@ class Settings(BaseSettings):
         description="Secret of the key `admin`, which is made or changed when the service starts.",
     )
     admin_key_file: Path | None = Field(None, description="A file that holds it instead.")
+    log_format: Literal["text", "json"] = Field(
+        "text",
+        description="Lines of the log of all processes: to be read, or JSON objects with the ids "
+        "of jobs, which also tell when a job is begun and done.",
+    )
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     workers: int = Field(1, ge=0, le=256, description="Worker slots that `morph serve` starts.")
     threads: int = Field(

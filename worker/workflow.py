@@ -16,7 +16,7 @@ from dbos import error as dbos_error
 from sqlalchemy.exc import DBAPIError
 
 from chamfer_morph.schemas import MeshShape, Outcome, Problem
-from chamfer_morph.worker import queue
+from chamfer_morph.worker import queue, service_log
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
 from chamfer_morph.worker.dbos_adapter import (
     SERIALIZER,
@@ -40,6 +40,8 @@ from chamfer_morph.worker.storage import (
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 
 MAX_RECOVERIES = 50
+
+_log: logging.Logger = logging.getLogger("chamfer_morph.jobs")
 
 _settings: Settings
 _executor: str
@@ -110,6 +112,7 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     """Attempt a job until it succeeds, is refused, or has failed too often."""
     job_id = DBOS.workflow_id
     assert job_id is not None
+    service_log.job_id.set(job_id)
     storage = open_storage(_settings, _executor)
     try:
         outcome = await _attempt(storage, job_id, JobSpec.model_validate(spec))
@@ -136,12 +139,18 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
                 )
             begun = sum(event.type == "attempt" for event in log.read(limit=10**9))
             attempt = max(attempt, begun) + 1
+            _told("begins", attempt=attempt, worker=_executor)
             async with publishing(storage, job_id) as publication:
                 beat = partial(_heartbeat, publication)
-                return await run_attempt(storage.job_dir(job_id), attempt, _settings, _spare, beat)
+                outcome = await run_attempt(
+                    storage.job_dir(job_id), attempt, _settings, _spare, beat
+                )
+            _told("done", attempt=attempt, worker=_executor)
+            return outcome
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience
             again = failure.worth_another and failures < _settings.attempts
+            _told("failed", attempt=attempt, retry=again, cause=failure.problem.cause)
             with contextlib.suppress(OSError):  # the disk is full; the outcome tells it, too
                 log.append(
                     "problem",
@@ -150,6 +159,11 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
             if not again:
                 raise
         await asyncio.sleep(_settings.retry_seconds * 2 ** (failures - 1))
+
+
+def _told(what: str, **fields: Any) -> None:
+    """Log what becomes of the job."""
+    _log.info("%s: %s", what, fields, extra={"fields": {"message": what, **fields}})
 
 
 def _take_over(storage: Storage, job_id: str, spec: JobSpec) -> None:

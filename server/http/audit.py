@@ -24,10 +24,16 @@ HEADER = "X-Request-ID"
 GIVEN = re.compile(r"[\w.:-]{1,64}", re.ASCII)
 """Names of callers that are taken as they are: nothing in them can break a line of the log."""
 
+JOB = re.compile(r"/jobs/([^/]+)$")
+"""The end of a job's address."""
+
 READING = ("GET", "HEAD", "OPTIONS")
 
 PATH_SHOWN = 200
 """Letters of a path that are logged: addresses may be much longer."""
+
+JOB_SHOWN = 26
+"""Letters of the id of a job, which has no more."""
 
 _log: logging.Logger = logging.getLogger("chamfer_morph.audit")
 
@@ -36,7 +42,8 @@ class AuditMiddleware:
     """Names requests, and logs those that may change something once they are answered.
 
     A line is one JSON object: `time` in UTC, `request`, `key` (empty without one), `operation`,
-    `method`, `path`, `status`, and `seconds` until the answer began. A refused request has a line,
+    `method`, `path`, `job` (that is made or meant; or empty), `status`, and `seconds` until the
+    answer began. A refused request has a line,
     too; a status of 0 says that nothing was answered. No line has a body, a query or a secret. As
     long as there are no keys, only refused requests have lines: all others come from one person.
     """
@@ -51,13 +58,15 @@ class AuditMiddleware:
             return
         given = Headers(scope=scope).get(HEADER, "")
         name = given if GIVEN.fullmatch(given) else uuid.uuid4().hex
-        begun, status, seconds = time.perf_counter(), 0, 0.0
+        begun, status, seconds, made = time.perf_counter(), 0, 0.0, ""
 
         async def send_named(message: Message) -> None:
-            nonlocal status, seconds
+            nonlocal status, seconds, made
             if message["type"] == "http.response.start":
                 status, seconds = message["status"], time.perf_counter() - begun
-                MutableHeaders(scope=message)[HEADER] = name
+                headers = MutableHeaders(scope=message)
+                headers[HEADER] = name
+                made = headers.get("Location", "")
             await send(message)
 
         try:
@@ -65,7 +74,15 @@ class AuditMiddleware:
         finally:
             caller = scope.get("state", {}).get("caller")
             if scope["method"] not in READING and (caller is None or caller.name):
-                _log.info(json.dumps(_line(scope, caller, name, status, seconds)))
+                line = _line(scope, caller, name, status, seconds) | {"job": _job(scope, made)}
+                _log.info(json.dumps(line), extra={"fields": line | {"message": "request"}})
+
+
+def _job(scope: Scope, made: str) -> str:
+    """The job that a request is about: that of its path, or the one that it has made."""
+    new = JOB.search(made)
+    job: str = new[1] if new else scope.get("path_params", {}).get("job_id", "")
+    return job[:JOB_SHOWN]
 
 
 def _line(

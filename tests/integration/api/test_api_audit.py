@@ -46,6 +46,7 @@ def test_changes_are_logged_with_key_and_name(
     assert logged == [
         ("submitJob", "root", 202), ("cancelJob", "root", 202), ("deleteJob", "", 401),
     ]  # fmt: skip
+    assert [line["job"] for line in lines()] == [job, job, "no-such-job"]
     last = lines()[-1]
     assert last["request"] == refused.headers["X-Request-ID"]
     assert last["path"] == ADDRESS and last["method"] == "DELETE" and last["seconds"] >= 0

@@ -1,0 +1,55 @@
+"""The log as JSON: from a request to what became of its job, over all processes of a service."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.live_service import LiveService, free_port
+
+SECRET = "0123456789abcdef" * 2
+
+
+@pytest.fixture
+def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A service with a key that writes JSON."""
+    found = LiveService(tmp_path, free_port())
+    environment = found.environment | {"MORPH_LOG_FORMAT": "json", "MORPH_ADMIN_KEY": SECRET}
+    monkeypatch.setattr(LiveService, "environment", property(lambda _: environment))
+    found.start()
+    yield found
+    found.stop()
+
+
+def test_a_job_can_be_followed(service: LiveService) -> None:
+    """The request names the job; the worker says when it began and was done; no line is text."""
+    key = {"Authorization": f"Bearer {SECRET}"}
+    body = {
+        "source": {"shape": "sphere"},
+        "target": {"shape": "star"},
+        "method": "dco",
+        "frames": 2,
+        "overrides": {"sampling.points_per_cell_edge": 1},
+    }
+    made = service.call("POST", "/v1/jobs", json=body, headers=key | {"X-Request-ID": "click-1"})
+    job = made.json()["id"]
+    events = f"{service.url}/v1/jobs/{job}/events"
+    with httpx.stream(
+        "GET", events, headers=key | {"Accept": "text/event-stream"}, timeout=600
+    ) as stream:
+        for _ in stream.iter_lines():  # ends with the job
+            pass
+    assert service.call("GET", f"/v1/jobs/{job}", headers=key).json()["state"] == "succeeded"
+    service.stop()
+    log = (service.data_dir / "service.log").read_text()
+    lines = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
+    told = [(line["logger"].rpartition(".")[2], line["message"]) for line in lines if
+            line.get("job") == job]  # fmt: skip
+    assert told == [("audit", "request"), ("jobs", "begins"), ("jobs", "done")]
+    request, begun, _ = (line for line in lines if line.get("job") == job)
+    assert request["request"] == "click-1" and request["status"] == 202
+    assert begun["attempt"] == 1 and begun["worker"]
+    assert SECRET not in log

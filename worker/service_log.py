@@ -1,0 +1,54 @@
+"""The log of the service's processes: lines to read, or JSON objects with the ids of jobs."""
+
+from __future__ import annotations
+
+import json
+import logging
+from contextvars import ContextVar
+from datetime import datetime, timezone
+from typing import Any
+
+from chamfer_morph.worker.settings import Settings
+
+job_id: ContextVar[str] = ContextVar("job_id", default="")
+"""The job that is worked on; empty where there is none."""
+
+TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+TOLD = ("chamfer_morph.audit", "chamfer_morph.jobs")
+"""Loggers whose lines of level INFO are written, too."""
+
+
+def set_up(settings: Settings) -> None:
+    """Write the log of this process to standard error, as the settings want it."""
+    handler = logging.StreamHandler()
+    as_json = settings.log_format == "json"
+    handler.setFormatter(JsonFormatter() if as_json else logging.Formatter(TEXT))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    for name in TOLD if as_json else TOLD[:1]:
+        logging.getLogger(name).setLevel(logging.INFO)
+
+
+class JsonFormatter(logging.Formatter):
+    """A line is one JSON object.
+
+    It has `time` in UTC, `level`, `logger`, `message`, `job` where the line is about one, `error`
+    with the traceback where there is one, and what the caller gave as `extra={"fields": {...}}`.
+    """
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line of a record."""
+        time = datetime.fromtimestamp(record.created, timezone.utc)
+        line: dict[str, Any] = {
+            "time": time.isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+        }
+        if job := job_id.get():
+            line["job"] = job
+        fields = getattr(record, "fields", None)
+        line |= fields if fields is not None else {}
+        line.setdefault("message", record.getMessage())
+        if record.exc_info:
+            line["error"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
