@@ -15,11 +15,9 @@ import numpy.typing as npt
 
 from morph_engine.export.format import Format
 from morph_engine.export.vertex_light import vertex_light
+from morph_engine.geometry.splats import HARMONIC
 from morph_engine.results.selection import Selection, Snapshot
 from morph_engine.srgb import CLAY, encoded
-
-HARMONIC = 0.5 / np.sqrt(np.pi)
-"""Y_00, the spherical harmonic of degree 0."""
 
 OPACITY = 0.98
 """Of a splat at its centre."""

@@ -23,7 +23,7 @@ NAMES = ("opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in ran
 """Properties of a vertex in a PLY file of splats (Kerbl et al. 2023)."""
 
 HARMONIC = 0.5 / np.sqrt(np.pi)
-"""Y_00, by which a colour is stored."""
+"""Y_00, the spherical harmonic of degree 0, by which a colour is stored."""
 
 LEAST_OPACITY = 0.1
 """Splats that hide less than this are haze."""
