@@ -33,7 +33,7 @@ CONFIGURATION = {"ini", "nginx"}
 RUN_AS_A_WHOLE = {"tutorial.md", "paraview.md", "blender.md"}
 """Pages whose commands are cheap enough to be run."""
 
-OTHERS = {"source", "pip", "export", "docker", "blender", ".ci/run"}
+OTHERS = {"source", "pip", "export", "docker", "openssl", "blender", ".ci/run"}
 """Programs whose arguments are not read."""
 
 COMMANDS = re.compile(r"^(morph|make|python|pip|curl|from|import) ", re.M)
