@@ -7,14 +7,17 @@ cells of a raster that they reach are closed and filled, and a surface is put ar
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-import igl
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh_colors import MeshColors
+
+igl: Any = lazy.load("igl")
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
