@@ -139,18 +139,18 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
                 )
             begun = sum(event.type == "attempt" for event in log.read(limit=10**9))
             attempt = max(attempt, begun) + 1
-            _told("begins", attempt=attempt, worker=_executor)
+            _tell("begins", attempt=attempt, worker=_executor)
             async with publishing(storage, job_id) as publication:
                 beat = partial(_heartbeat, publication)
                 outcome = await run_attempt(
                     storage.job_dir(job_id), attempt, _settings, _spare, beat
                 )
-            _told("done", attempt=attempt, worker=_executor)
+            _tell("done", attempt=attempt, worker=_executor)
             return outcome
         except AttemptFailed as failure:
             failures = 1 if failure.frames else failures + 1  # progress earns new patience
             again = failure.worth_another and failures < _settings.attempts
-            _told("failed", attempt=attempt, retry=again, cause=failure.problem.cause)
+            _tell("failed", attempt=attempt, retry=again, cause=failure.problem.cause)
             with contextlib.suppress(OSError):  # the disk is full; the outcome tells it, too
                 log.append(
                     "problem",
@@ -161,7 +161,7 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
         await asyncio.sleep(_settings.retry_seconds * 2 ** (failures - 1))
 
 
-def _told(what: str, **fields: Any) -> None:
+def _tell(what: str, **fields: Any) -> None:
     """Log what becomes of the job."""
     _log.info("%s: %s", what, fields, extra={"fields": {"message": what, **fields}})
 

@@ -86,8 +86,8 @@ def to_bytes(snapshot: Snapshot) -> bytes:
         "end_header",
         "",
     ]
-    data: bytes = known.tobytes()
-    return "\n".join(header).encode() + data
+    splats: bytes = known.tobytes()
+    return "\n".join(header).encode() + splats
 
 
 def _edge_lengths(vertices: Floats, faces: npt.NDArray[np.int32]) -> Floats:
