@@ -15,6 +15,8 @@ import os
 
 import lazy_loader
 
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on stdout
+# Taichi announces itself on stdout, and in a notebook that it has found one
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("TI_ENABLE_PYBUF", "0")
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

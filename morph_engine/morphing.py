@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -134,7 +135,7 @@ def morph(
     out: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
-) -> Iterator[Frame]:
+) -> Morph:
     """Morph one shape into another, frame by frame, or through several.
 
     Args:
@@ -150,20 +151,56 @@ def morph(
         resume: Go on with the unfinished run of `out`; the frames already there come first.
         overwrite: Replace an unfinished run of `out`.
 
-    Yields:
-        The frames in order.
-
-    Raises:
-        MorphError: Bad input, no memory, or a frame that cannot be completed.
+    Returns:
+        The frames in order, each computed when it is asked for; asking raises `MorphError` on bad
+        input, where memory lacks, and for a frame that cannot be completed. A notebook whose cell
+        ends with it computes all of them, shows how far it is, and then a viewer.
     """
-    yield from run(
-        prepare(source, target, config),
-        device=device,
-        threads=threads,
-        out=out,
-        resume=resume,
-        overwrite=overwrite,
-    )
+    options = {"device": device, "threads": threads, "resume": resume, "overwrite": overwrite}
+    return Morph(partial(prepare, source, target, config), out, options)
+
+
+class Morph(Iterator[Frame]):
+    """The frames of a morph, see `morph`.
+
+    Args:
+        prepare: Makes the record of the run.
+        out: The result file.
+        options: Further arguments of `run`.
+    """
+
+    def __init__(
+        self, prepare: Callable[[], RunRecord], out: str | Path | None, options: dict[str, Any]
+    ) -> None:
+        self._prepare = prepare
+        self._out = out
+        self._options = options
+        # knows nothing of this object, so that both go when nobody has it any more
+        self._frames = _prepared_run(prepare, out, options)
+
+    def __next__(self) -> Frame:
+        return next(self._frames)
+
+    def close(self) -> None:
+        """End the run where it is; with `out` what is finished is kept."""
+        self._frames.close()
+
+    def _ipython_display_(self) -> None:
+        """What a notebook calls to display this."""
+        from morph_engine import notebook
+
+        record = self._prepare()
+        notebook.show(
+            record,
+            lambda out, on_stage: run(record, out=out, on_stage=on_stage, **self._options),
+            self._out,
+        )
+
+
+def _prepared_run(
+    prepare: Callable[[], RunRecord], out: str | Path | None, options: dict[str, Any]
+) -> Generator[Frame, None, None]:
+    yield from run(prepare(), out=out, **options)
 
 
 def run(
