@@ -16,7 +16,10 @@ from chamfer_morph.cli.output import print_result
 if TYPE_CHECKING:
     from chamfer_morph.client import MorphClient
 
-SHAPE_HELP = "A mesh file (OBJ, PLY, STL, OFF, GLB) or a built-in shape (see morph shapes)."
+SHAPE_HELP = (
+    "A mesh file (OBJ, PLY, STL, OFF, GLB, or a ZIP of one with its textures) or a built-in shape "
+    "(see morph shapes)."
+)
 FIT_HELP = (
     "Scale and centre shapes where they need it (auto), each to the usual volume, each to touch "
     "the domain, or never."

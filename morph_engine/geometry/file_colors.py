@@ -122,8 +122,10 @@ def _of_part(part: Part, kind: str, textures: _Textures) -> MeshColors | None:
         return MeshColors.of_corners(corners)
     if visual.kind == "vertex":
         return MeshColors.of_corners(_bytes(visual.vertex_colors, is_linear)[faces])
-    if not is_linear or visual.kind != "texture":
+    if visual.kind != "texture":
         return None
+    if not is_linear:
+        return _of_simple_material(visual, faces, textures)
     material = visual.material
     light = np.ones(3)
     if material.baseColorFactor is not None:
@@ -145,9 +147,33 @@ def _of_part(part: Part, kind: str, textures: _Textures) -> MeshColors | None:
         )
     if index == NO_TEXTURE:
         return colors
-    uv = np.asarray(visual.uv, np.float64) * (1, -1) + (0, 1)  # trimesh counts from below
-    places = np.nan_to_num(uv).astype(np.float32)[faces]
+    return _textured(corners, visual.uv, faces, index)
+
+
+def _textured(
+    corners: srgb.Bytes, uv: npt.ArrayLike, faces: npt.NDArray[np.integer], index: int
+) -> MeshColors:
+    """Corner colours times a texture, whose places trimesh counts from below."""
+    flipped = np.asarray(uv, np.float64) * (1, -1) + (0, 1)
+    places = np.nan_to_num(flipped).astype(np.float32)[faces]
     return MeshColors(corners, places, np.full(len(faces), index, np.int16))
+
+
+def _of_simple_material(
+    visual: Any, faces: npt.NDArray[np.integer], textures: _Textures
+) -> MeshColors | None:
+    """Colours by the MTL of an OBJ: `map_Kd`, or else `Kd`, both sRGB."""
+    material = visual.material
+    image = material.image
+    comes_from_file = image is not None and image.format  # trimesh paints one where it finds none
+    if comes_from_file and visual.uv is not None:
+        index = textures.add(image)
+        if index != NO_TEXTURE:
+            white = np.tile(_WHITE, (len(faces), 3, 1))
+            return _textured(white, visual.uv, faces, index)
+    if "kd" not in material.kwargs:
+        return None
+    return MeshColors.of_corners(np.tile(material.main_color[:3], (len(faces), 3, 1)))
 
 
 def _bytes(values: npt.ArrayLike, is_linear: bool) -> srgb.Bytes:

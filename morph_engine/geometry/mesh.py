@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.file_colors import Part, only_base_colors, read_colors
+from morph_engine.geometry.mesh_archive import Companions, read_archive, self_contained_gltf
 from morph_engine.geometry.mesh_colors import MeshColors
 from morph_engine.geometry.splats import are_splats, solid_of_splats
 from morph_engine.geometry.topology import signed_volume, triangle_areas
@@ -24,7 +25,7 @@ from morph_engine.geometry.upward import Up, guess_up
 
 trimesh: Any = lazy.load("trimesh")
 
-FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
+FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf", "zip")
 FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9
@@ -149,8 +150,9 @@ def _digest(
 def load_mesh(path: str | Path) -> Mesh:
     """Read a mesh and turn it right side out; its coordinates stay as in the file (algorithm 1.1).
 
-    It is an OBJ, PLY, STL, OFF, GLB or self-contained glTF file. A scene becomes one mesh, and
-    Gaussian splats in a PLY file the surface of a solid.
+    It is an OBJ, PLY, STL, OFF, GLB or self-contained glTF file, or a ZIP archive of one and the
+    files that it names: an OBJ's materials, a glTF's buffers, the pictures of both. A scene becomes
+    one mesh, and Gaussian splats in a PLY file the surface of a solid.
 
     Raises:
         MeshError: The file is missing, empty, too large or unreadable, or its mesh is unusable.
@@ -164,7 +166,8 @@ def load_mesh(path: str | Path) -> Mesh:
         )
     data = _read(path)
     try:
-        vertices, faces, colors, left_out = _parse(data, kind)
+        content, kind, companions = _content(data, path.name, kind)
+        vertices, faces, colors, left_out = _parse(content, kind, companions)
     except MeshError:
         raise
     except IndexError as error:
@@ -174,6 +177,8 @@ def load_mesh(path: str | Path) -> Mesh:
             f"{path.name} is not a readable {kind.upper()} file.",
             "Check that the file is complete, or export the mesh again as OBJ, STL or GLB.",
         ) from error
+    if companions and companions.missing:
+        left_out += (f"{companions.missing[0]} is not in the archive and has been left out.",)
     mesh = make_mesh(
         vertices,
         faces,
@@ -223,8 +228,19 @@ def _read(path: Path) -> bytes:
     return data
 
 
+def _content(data: bytes, name: str, kind: str) -> tuple[bytes, str, Companions | None]:
+    """A mesh file itself, or the one in an archive: content, format, and the files it may name."""
+    if kind != "zip":
+        return data, kind, None
+    kinds = [each for each in FORMATS if each != "zip"]
+    path, members = read_archive(data, name, kinds, FILE_BYTES_LIMIT)
+    kind = Path(path).suffix[1:].lower()
+    content = self_contained_gltf(path, members) if kind == "gltf" else members[path]
+    return content, kind, Companions(members, path)
+
+
 def _parse(
-    data: bytes, kind: str
+    data: bytes, kind: str, companions: Companions | None
 ) -> tuple[npt.ArrayLike, npt.ArrayLike, MeshColors | None, tuple[str, ...]]:
     """Vertices, faces and colours of a mesh file, opening no other file; what is left out."""
     is_gltf = kind in ("glb", "gltf")
@@ -238,7 +254,11 @@ def _parse(
         # NumPy only warns when text between numbers makes it stop reading.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
         scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=kind, process=False, skip_materials=not is_gltf
+            io.BytesIO(data),
+            file_type=kind,
+            process=False,
+            resolver=companions,
+            skip_materials=not (is_gltf or companions),
         )
         splats = _splats(scene)
         if splats is not None:

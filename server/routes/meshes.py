@@ -34,7 +34,7 @@ from morph_engine.geometry.mesh import FORMATS
 
 router: APIRouter = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
 
-ARCHIVES = ("zip", "gz", "tar", "tgz", "7z", "rar", "xz")
+ARCHIVES = ("gz", "tar", "tgz", "7z", "rar", "xz")
 
 # streamed to the disk as it comes, which FastAPI has no parameter for
 UPLOAD_BODY: dict[str, Any] = {
@@ -74,8 +74,9 @@ async def upload_mesh(
 ) -> Mesh:
     """Send the file as the raw body with its name in the query, or as a form with a part `file`.
 
-    OBJ, PLY, STL, OFF, GLB and self-contained glTF are read. A mesh that cannot be filled with
-    particles is refused, with the reason. The same file sent again is the same mesh.
+    OBJ, PLY, STL, OFF, GLB and self-contained glTF are read, and a ZIP archive of one with the
+    files that it names, such as the materials and pictures of an OBJ. A mesh that cannot be filled
+    with particles is refused, with the reason. The same file sent again is the same mesh.
     """
     name = plain_name(name)
     async with AsyncExitStack() as stack:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 
 import pytest
+import trimesh
+from PIL import Image
 from playwright.sync_api import expect
 
 from morph_engine.methods.flow import FlowOptions
@@ -72,6 +74,20 @@ def test_a_dropped_file_is_taken(page):
     )
     card(page, "To").dispatch_event("drop", {"dataTransfer": files})
     expect(card(page, "To")).to_contain_text("cube.obj: 12 triangles, closed")
+
+
+def test_files_that_belong_together_are_one_mesh(tmp_path, page):
+    """An OBJ with its materials and its picture, chosen together, is seen with its colours."""
+    box = trimesh.creation.box(extents=(6, 6, 6))
+    picture = Image.new("RGB", (8, 8), (200, 60, 40))
+    material = trimesh.visual.material.SimpleMaterial(image=picture)
+    box.visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2], material=material)
+    box.export(tmp_path / "crate.obj")
+    files = sorted(tmp_path.iterdir())
+    assert {file.suffix for file in files} == {".obj", ".mtl", ".png"}
+    page.goto("/new")
+    card(page, "From").get_by_label("Mesh file of the source").set_input_files(files)
+    expect(card(page, "From")).to_contain_text("crate.zip: 12 triangles, closed, coloured")
 
 
 def test_a_bad_mesh_is_refused_in_words(mesh_files, page):

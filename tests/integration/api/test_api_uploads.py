@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import gzip
 import io
 import socket
 import time
@@ -44,14 +45,29 @@ def test_the_same_file_twice_is_one_mesh(api: Api, cube: bytes) -> None:
     assert len(api.http.get("/v1/meshes").json()["items"]) == 1
 
 
+def test_an_archive_is_a_mesh(api: Api, cube: bytes) -> None:
+    """A ZIP of an OBJ with its materials is one mesh, which has their colours; a bomb is none."""
+    archive, bomb = io.BytesIO(), io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("model/cube.obj", b"mtllib cube.mtl\nusemtl red\n" + cube)
+        file.writestr("model/cube.mtl", "newmtl red\nKd 0.9 0.1 0.1\n")
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("cube.obj", cube)
+        file.writestr("zeros", bytes(300 * 2**20))
+    mesh = api.http.post("/v1/meshes?name=cube.zip", content=archive.getvalue()).json()
+    assert mesh["report"]["colors"] == "corners" and mesh["report"]["watertight"]
+    refused = api.http.post("/v1/meshes?name=bomb.zip", content=bomb.getvalue())
+    assert refused.status_code == 422 and "more than 256 MiB" in refused.json()["detail"]
+
+
 def test_other_types_are_refused(api: Api, cube: bytes) -> None:
-    """A file without the suffix of a mesh is 415; a zip says that it wants unpacking."""
+    """A file without the suffix of a mesh is 415; a packed one says that it wants unpacking."""
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("cube.obj", cube)
     text = api.http.post("/v1/meshes?name=notes.txt", content=b"hello")
     nameless = api.http.post("/v1/meshes", content=cube)
-    zipped = api.http.post("/v1/meshes", files={"file": ("cube.zip", archive.getvalue())})
+    zipped = api.http.post("/v1/meshes", files={"file": ("cube.obj.gz", gzip.compress(cube))})
     disguised = api.http.post("/v1/meshes?name=cube.obj", content=archive.getvalue())
     assert [text.status_code, nameless.status_code, zipped.status_code] == [415, 415, 415]
     assert "Unpack" in zipped.json()["remedy"]

@@ -4,10 +4,11 @@ import { get, upload } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { count, plural } from "../../format.js";
 import { problemNotice } from "../../problem_notice.js";
+import { droppedFiles, packed, pickedFiles } from "./pack.js";
 import { Pose } from "./pose.js";
 import { Preview } from "./preview.js";
 
-const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf";
+const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf,.zip,.mtl,.bin,.png,.jpg,.jpeg,.webp";
 const TEXT = "text:";
 const EARLIER = 50;
 
@@ -118,8 +119,23 @@ export class Chooser {
     this.changed(shape);
   }
 
-  /** Take a file that was dropped or picked. */
+  /**
+   * Take files that were dropped or picked: a mesh, and what belongs to it.
+   *
+   * @param {Array<{path: string, file: File}> | Promise} found
+   */
+  async takeAll(found) {
+    if (found.length === 1) return this.take(found[0].file);
+    this.choose("file");
+    this.clear();
+    const taking = (this.taking = {});
+    const file = await packed(await found);
+    if (taking === this.taking) return this.take(file);
+  }
+
+  /** Take the file of a mesh. */
   async take(file) {
+    this.taking = null;
     this.choose("file");
     fill(this.trouble);
     this.failed = false;
@@ -206,7 +222,8 @@ export class Chooser {
       accept: ACCEPTED,
       class: "visually-hidden",
       "aria-label": `Mesh file of the ${this.noun}`,
-      on: { change: (event) => event.target.files[0] && this.take(event.target.files[0]) },
+      multiple: true,
+      on: { change: ({ target }) => target.files[0] && this.takeAll(pickedFiles(target.files)) },
     });
     const change = (event) => {
       if (event.target.value) this.settle({ mesh: event.target.value });
@@ -237,7 +254,7 @@ export class Chooser {
           "label",
           { class: "drop", for: `${this.role}-file` },
           h("span", null, "Drop a mesh here, or ", h("span", { class: "as-link" }, "choose a file")),
-          h("span", { class: "quiet small" }, "OBJ, PLY, STL, OFF or GLB"),
+          h("span", { class: "quiet small" }, "OBJ, PLY, STL, OFF, GLB or glTF; with textures: all files together, or a ZIP"),
         ),
       ),
       this.sending,
@@ -334,6 +351,7 @@ export class Chooser {
     const kind = mesh.name.split(".").at(-1).toLowerCase();
     if (!up) return "not known, nothing is turned";
     if (["glb", "gltf"].includes(kind)) return `${up}, as glTF says`;
+    if (kind === "zip") return up;
     return kind === "stl" ? `${up}, as usual for STL` : `${up}, its flat base`;
   }
 
@@ -347,7 +365,7 @@ export class Chooser {
     this.element.addEventListener("dragleave", over(false));
     this.element.addEventListener("drop", (event) => {
       over(false)(event);
-      if (event.dataTransfer?.files[0]) this.take(event.dataTransfer.files[0]);
+      if (event.dataTransfer?.files[0]) this.takeAll(droppedFiles(event.dataTransfer));
     });
   }
 }

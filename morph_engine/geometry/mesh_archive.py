@@ -1,0 +1,150 @@
+"""Meshes of several files in a ZIP archive: OBJ with MTL and pictures, glTF with its buffers."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+from urllib.parse import unquote
+
+from morph_engine.errors import MeshError
+
+FILES_LIMIT = 1000
+"""Most files in an archive."""
+
+HIDDEN = ("__MACOSX", ".")
+"""What systems put into archives beside the user's files begins so."""
+
+Members = Mapping[str, bytes]
+"""The files of an archive by their paths in it."""
+
+
+def read_archive(data: bytes, name: str, kinds: Sequence[str], limit: int) -> tuple[str, Members]:
+    """Unpack an archive that holds one mesh, in memory.
+
+    Args:
+        data: The archive.
+        name: Its name, for messages.
+        kinds: Suffixes of meshes.
+        limit: Most bytes of all files together.
+
+    Returns:
+        The path of the mesh in it, and all files.
+
+    Raises:
+        MeshError: It is damaged, encrypted or too large, or does not hold exactly one mesh.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = _unpacked(archive, name, limit)
+    except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, OSError) as error:
+        raise MeshError(f"{name} is not a readable ZIP file.", "Make the archive again.") from error
+    found = sorted(path for path in members if PurePosixPath(path).suffix[1:].lower() in kinds)
+    if not found:
+        raise MeshError(f"{name} holds no mesh.", "Put an OBJ, PLY, STL, OFF, GLB or glTF into it.")
+    if len(found) > 1:
+        raise MeshError(
+            f"{name} holds {len(found)} meshes, such as {found[0]} and {found[1]}.",
+            "Make an archive for each.",
+        )
+    return found[0], members
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str, limit: int) -> Members:
+    infos = [info for info in archive.infolist() if not info.is_dir() and not _hidden(info)]
+    if len(infos) > FILES_LIMIT:
+        raise MeshError(
+            f"{name} holds {len(infos)} files, more than {FILES_LIMIT}.",
+            "Put only the mesh, its materials and their pictures into it.",
+        )
+    if any(info.flag_bits & 1 for info in infos):
+        raise MeshError(f"{name} is encrypted.", "Make the archive without a password.")
+    members, room = {}, limit
+    for info in infos:
+        with archive.open(info) as file:
+            content = file.read(room + 1)  # its size as stated may be wrong
+        room -= len(content)
+        if room < 0:
+            raise MeshError(
+                f"{name} holds more than {limit >> 20} MiB.",
+                "Decimate the mesh, and scale its pictures down.",
+            )
+        members[info.filename.replace("\\", "/")] = content
+    return members
+
+
+def _hidden(info: zipfile.ZipInfo) -> bool:
+    return any(part.startswith(HIDDEN) for part in PurePosixPath(info.filename).parts)
+
+
+class Companions:
+    """The files that the mesh of an archive may refer to: what trimesh calls a resolver.
+
+    Exporters write paths of the machine that they ran on, in any case of letters: where there is no
+    file of that path, one of that name serves.
+
+    Args:
+        members: All files.
+        mesh: Path of the mesh.
+
+    Attributes:
+        missing: What has been looked for and is not there.
+    """
+
+    def __init__(self, members: Members, mesh: str) -> None:
+        self.missing: list[str] = []
+        self._members = members
+        self._folder = PurePosixPath(mesh).parent
+
+    def find(self, reference: str) -> bytes | None:
+        """The file that is meant by what the mesh says, such as ``textures/skin.png``."""
+        plain = reference.strip().replace("\\", "/")
+        if plain.startswith("-"):  # options of an MTL's picture
+            plain = plain.split()[-1]
+        for path in (str(self._folder / plain), plain):
+            if path in self._members:
+                return self._members[path]
+        wanted = PurePosixPath(plain).name.lower()
+        same = [p for p in sorted(self._members) if PurePosixPath(p).name.lower() == wanted]
+        if not same:
+            self.missing.append(plain)
+            return None
+        return self._members[same[0]]
+
+    def get(self, reference: str) -> bytes:
+        """The same.
+
+        Raises:
+            OSError: There is none.
+        """
+        content = self.find(reference)
+        if content is None:
+            raise FileNotFoundError(reference)
+        return content
+
+    __getitem__ = get
+
+
+def self_contained_gltf(path: str, members: Members) -> bytes:
+    """A glTF file whose buffers and pictures are in it.
+
+    Raises:
+        MeshError: A buffer is not in the archive.
+    """
+    header: dict[str, Any] = json.loads(members[path])
+    companions = Companions(members, path)
+    for kind in ("buffers", "images"):
+        for item in header.get(kind, []):
+            uri = item.get("uri", "data:")
+            if uri.startswith("data:"):
+                continue
+            content = companions.find(unquote(uri))
+            if content is not None:
+                item["uri"] = f"data:;base64,{base64.b64encode(content).decode('ascii')}"
+            elif kind == "buffers":
+                raise MeshError(f"The archive lacks {uri}.", "Put it beside the glTF file.")
+    return json.dumps(header).encode()
