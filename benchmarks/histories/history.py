@@ -87,13 +87,18 @@ class World:
     Args:
         ground: The queue and what workers do to it.
         real_clock: Let the clock be that of the machine, as Postgres does.
+
+    Attributes:
+        on_clock: In its context code reads the clock of the history.
+        chance: What is drawn, is drawn from this.
+        seen: What was seen after each step.
     """
 
     def __init__(self, ground: Ground, *, real_clock: bool = False) -> None:
         self.ground = ground
         self.queue = ground.queue
         self._clock = Clock()
-        self._on_clock = nullcontext if real_clock else self._clock.everywhere
+        self.on_clock = nullcontext if real_clock else self._clock.everywhere
         self._spec = JobSpec(
             source=BuiltInShape(shape="sphere"),
             target=BuiltInShape(shape="star"),
@@ -114,23 +119,23 @@ class World:
         Raises:
             Violation: A rule is broken; the message says which, and what was done until then.
         """
-        with self._on_clock():
+        with self.on_clock():
             self.begin(number)
             try:
                 for _ in range(STEPS):
-                    self.step(self._chance.choice(ACTIONS))
+                    self.step(self.chance.choice(ACTIONS))
                 self.finish()
             except Violation as violation:
                 raise Violation(f"history {number}: {violation}; {', '.join(self._done)}") from None
             finally:
                 self.clear()
-        return self._seen
+        return self.seen
 
     def begin(self, number: int) -> None:
         """Start a history without jobs."""
         self._clock.begin()
         self._number, self._count = number, itertools.count()
-        self._chance = random.Random(number)
+        self.chance = random.Random(number)
         self._jobs: list[str] = []
         self._owners: dict[str, str] = {}
         self._fresh: set[str] = set()  # to be computed from the beginning
@@ -140,7 +145,7 @@ class World:
         self._ghosts: list[Run] = []  # of workers that have lost their lock and do not know it
         self._locks = {slot: self._lock(slot) for slot in SLOTS}
         self._done: list[str] = []
-        self._seen: list[Any] = []
+        self.seen: list[Any] = []
         self._queued_at: dict[str, tuple[int, float]] = {}  # step and time at which it was queued
         self._alone_since: dict[str, int] = {}  # the step since which it waits as its owner's only
         self._passed: dict[str, set[str]] = {}  # later jobs of others that went before it
@@ -148,7 +153,7 @@ class World:
     def step(self, action: str) -> None:
         """Do one thing, and see that the rules are kept."""
         self._done.append(action)
-        self._clock.move(self._chance.randint(1, 16))
+        self._clock.move(self.chance.randint(1, 16))
         before = self.queue.states(self._jobs)
         touched = getattr(self, f"_{action}")()
         after = self.queue.states(self._jobs)
@@ -157,7 +162,7 @@ class World:
         for job, state in before.items():
             if state.finished and job in after and after[job] is not state and job != touched:
                 raise Violation(f"{job} was {state.value} and is {after[job].value}")
-        self._seen.append((action, touched, [after[job].value for job in self._jobs]))
+        self.seen.append((action, touched, [after[job].value for job in self._jobs]))
         self._note_turns(after)
 
     def _now(self) -> tuple[int, float]:
@@ -190,14 +195,14 @@ class World:
 
     def _submit(self) -> None:
         job = f"history{self._number:08d}job{next(self._count):02d}"
-        priority = self._chance.choice((50, 100))
-        owner = self._owners[job] = self._chance.choice(OWNERS)
+        priority = self.chance.choice((50, 100))
+        owner = self._owners[job] = self.chance.choice(OWNERS)
         self.queue.enqueue(self._spec, job_id=job, owner=owner, priority=priority)
         self._jobs.append(job)
         self._queued_at[job] = self._now()
 
     def _claim(self) -> None:
-        slot = self._chance.choice(SLOTS)
+        slot = self.chance.choice(SLOTS)
         if self._runs[slot] is not None or self._locks[slot] is None:
             return
         run = Run("", slot)
@@ -215,7 +220,7 @@ class World:
         if holders:
             raise Violation("a job is given to a second worker while the first lives")
         self._runs[slot], self._last_token[run.job] = run, run.token
-        self._seen.append(run.job)
+        self.seen.append(run.job)
         began_with_frames = self.ground.begin(run.job)
         if run.job in self._fresh and began_with_frames:
             raise Violation("a retried job begins with frames of before")
@@ -237,7 +242,7 @@ class World:
     def _end(self, status: str) -> str | None:
         if not (holders := self._holders()):
             return None
-        run = self._chance.choice(holders)
+        run = self.chance.choice(holders)
         outcome = Outcome(
             sha256=run.token.encode().hex().ljust(64, "0")[:64], size_bytes=1, frames=1, metrics={},
             particle_count=1, target_count=1, cpu_seconds=0, peak_memory_mb=0,
@@ -255,11 +260,11 @@ class World:
         return None
 
     def _crash(self) -> None:
-        self._end_slot(self._chance.choice(SLOTS))
+        self._end_slot(self.chance.choice(SLOTS))
 
     def _lose_lock(self) -> None:
         """As Postgres takes it from a worker that has been silent; the worker does not know."""
-        slot = self._chance.choice(SLOTS)
+        slot = self.chance.choice(SLOTS)
         if (run := self._runs[slot]) is not None:
             run.replaceable = True
             self._ghosts.append(run)
@@ -317,13 +322,13 @@ class World:
 
     def _jump(self) -> None:
         """The clock is set, by up to an hour forward or back."""
-        self._clock.move(self._chance.randint(-JUMP_SECONDS, JUMP_SECONDS) * 8)
+        self._clock.move(self.chance.randint(-JUMP_SECONDS, JUMP_SECONDS) * 8)
 
     def _pause(self) -> None:
-        self.queue.pause(self._chance.choice(OWNERS))
+        self.queue.pause(self.chance.choice(OWNERS))
 
     def _unpause(self) -> None:
-        self._end_pause(self._chance.choice(OWNERS))
+        self._end_pause(self.chance.choice(OWNERS))
 
     def _end_pause(self, owner: str) -> None:
         """Jobs of this owner take places as if they were queued now."""
@@ -364,7 +369,7 @@ class World:
     def _pick(self, action: Any) -> str | None:
         states = self.queue.states(self._jobs)
         found = [job for job in self._jobs if allowed(states[job], action)]
-        return self._chance.choice(found) if found else None
+        return self.chance.choice(found) if found else None
 
     def _holders(self) -> list[Run]:
         return [*(run for run in self._runs.values() if run), *self._ghosts]
