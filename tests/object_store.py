@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,6 +15,10 @@ from pathlib import Path
 import httpx
 
 BUCKET = "morph"
+
+SERVER_ERROR = (
+    b"HTTP/1.1 500 Internal Server Error\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+)
 
 
 @contextmanager
@@ -43,26 +48,38 @@ class Link:
 
     Attributes:
         port: Of 127.0.0.1, where it begins.
+        delay: What comes back is held up so long, each piece of it [s].
     """
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
         self._whole = threading.Event()
         self._whole.set()
+        self._failing = False
+        self.delay = 0.0
         self._sockets: set[socket.socket] = set()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True).start()
 
+    def fail(self) -> None:
+        """Break every connection; whoever comes anew gets the status 500 for each request."""
+        self._failing = True
+        self._break()
+
     def cut(self) -> None:
         """Break every connection; new ones are accepted and get no answer."""
         self._whole.clear()
+        self._break()
+
+    def _break(self) -> None:
         for end in [*self._sockets]:
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
 
     def mend(self) -> None:
         """Let connections through again."""
+        self._failing = False
         self._whole.set()
 
     def close(self) -> None:
@@ -78,9 +95,14 @@ class Link:
 
     def _join(self, near: socket.socket) -> None:
         self._whole.wait()
+        if self._failing:
+            self._refuse(near)
+            return
         far = socket.create_connection(self._target)
         self._sockets |= {near, far}
-        back = threading.Thread(target=self._copy, args=(far, near), daemon=True)
+        back = threading.Thread(
+            target=self._copy, args=(far, near), kwargs={"back": True}, daemon=True
+        )
         back.start()
         self._copy(near, far)
         back.join()
@@ -88,9 +110,22 @@ class Link:
         near.close()
         far.close()
 
-    def _copy(self, source: socket.socket, sink: socket.socket) -> None:
+    def _refuse(self, near: socket.socket) -> None:
+        """Take a request, whole, and answer it with an error."""
+        with near, suppress(OSError), near.makefile("rb") as request:
+            length = 0
+            while (line := request.readline()) not in (b"\r\n", b""):
+                name, _, value = line.partition(b":")
+                if name.lower() == b"content-length":
+                    length = int(value)
+            request.read(length)
+            near.sendall(SERVER_ERROR)
+
+    def _copy(self, source: socket.socket, sink: socket.socket, *, back: bool = False) -> None:
         with suppress(OSError):
             while data := source.recv(1 << 16):
+                if back:
+                    time.sleep(self.delay)
                 sink.sendall(data)
         for end in (source, sink):
             with suppress(OSError):

@@ -22,7 +22,9 @@ from examples.service_demo import serving
 WIDTHS = {"desk": (1400, 900), "phone": (390, 844)}
 Scheme = Literal["light", "dark"]
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
-METHODS = ("joint", "physics", "transport", "dco")
+METHODS = ("flow", "joint", "physics", "dco")
+SHOWN = (("star", "torus"), ("torus", "teapot"), ("teapot", "heart"), ("heart", "text:MPM"))
+"""Pairs of shapes that the gallery has beside the morphs by these methods."""
 
 PATIENCE = 120_000
 """How long a view may take to show all it has [ms]."""
@@ -91,7 +93,11 @@ def _jobs(client: MorphClient) -> list[str]:
         ).id
         for method in METHODS
     ]
-    for job in finished:
+    others = [
+        client.submit(source, target, overrides={"sampling.points_per_cell_edge": 2}).id
+        for source, target in SHOWN
+    ]
+    for job in finished + others:
         for event in client.events(job):
             if event.type == "state":
                 print(f"{job}: {event.data['state']}")
@@ -107,6 +113,7 @@ def _views(jobs: list[str]) -> tuple[View, ...]:
         View("jobs", "/", _jobs_are_there),
         View("new", "/new?source=shape:sphere&target=shape:text:MPM", _previews_are_there),
         View("job", f"/jobs/{jobs[0]}?frame=40", _scenes_are_there(1)),
+        View("gallery", "/gallery", _stills_are_there),
         View("compare", f"/compare?jobs={','.join(jobs)}", _scenes_are_there(len(jobs))),
     )
 
@@ -114,6 +121,15 @@ def _views(jobs: list[str]) -> tuple[View, ...]:
 def _jobs_are_there(page: Page) -> None:
     expect(page.get_by_role("link", name="waiting", exact=True)).to_be_visible()
     expect(page.locator(".thumbnail img").first).to_be_visible()
+
+
+def _stills_are_there(page: Page) -> None:
+    stills = page.locator("main img")
+    expect(stills).to_have_count(len(METHODS) + len(SHOWN))
+    for still in stills.all():
+        still.scroll_into_view_if_needed()
+        expect(still).to_have_js_property("complete", True)
+    page.mouse.wheel(0, -100_000)
 
 
 def _previews_are_there(page: Page) -> None:

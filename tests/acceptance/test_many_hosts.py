@@ -105,7 +105,7 @@ def test_a_fork(new_host: Callable[..., Cluster]) -> None:
             assert [row["frame"] for row in client.metrics(fork.id)] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("seconds", [1.0, 20.0])
+@pytest.mark.parametrize("seconds", [5.0, 60.0])
 def test_link_that_is_cut(
     new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray, seconds: float
 ) -> None:
@@ -118,6 +118,32 @@ def test_link_that_is_cut(
     time.sleep(seconds)
     assert reader.job(job).state is JobState.RUNNING
     link.mend()
+    reader.require_sound(job, undisturbed, kills=0)
+
+
+def test_store_that_answers_with_errors(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
+) -> None:
+    """Errors of the store are waited for, like its silence."""
+    reader, host = new_host(), new_host(link)
+    host.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    link.fail()
+    time.sleep(20)
+    assert reader.job(job).state is JobState.RUNNING
+    link.mend()
+    reader.require_sound(job, undisturbed, kills=0)
+
+
+def test_store_that_is_slow(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
+) -> None:
+    """Whose every answer takes a second: the job ends, and the worker keeps it."""
+    reader, host = new_host(), new_host(link)
+    link.delay = 1.0
+    host.worker(0)
+    job = reader.submit()
     reader.require_sound(job, undisturbed, kills=0)
 
 
