@@ -175,9 +175,11 @@ def densities(clouds: Sequence[PointCloud], target: PointCloud) -> Figure:
     _, y, z = target.points[cut].T
     colors = ScalarMappable(LogNorm(0.25, 4.0), "PuOr_r")
     row_count = -(-len(clouds) // COLUMNS)
+    columns = -(-len(clouds) // row_count)  # as many in each row as may be
     with style():
-        figure = Figure(figsize=(7.2, 1.6 * row_count + 0.4), layout="constrained")
-        panels = figure.subplots(row_count, COLUMNS, sharex=True, sharey=True, squeeze=False)
+        height = 1.6 * COLUMNS / columns * row_count + 0.4
+        figure = Figure(figsize=(7.2, height), layout="constrained")
+        panels = figure.subplots(row_count, columns, sharex=True, sharey=True, squeeze=False)
         for axes in panels.ravel():
             _bare(axes)
         for axes, cloud in zip(panels.ravel(), clouds, strict=False):
