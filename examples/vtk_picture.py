@@ -10,8 +10,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
 import vtkmodules.vtkRenderingFreeType
 import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  the library looks for its parts at run time
+from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkDataObject
 from vtkmodules.vtkFiltersCore import vtkGlyph3D
 from vtkmodules.vtkFiltersSources import vtkSphereSource
@@ -24,6 +26,8 @@ from vtkmodules.vtkRenderingCore import (
     vtkPolyDataMapper,
     vtkRenderer,
     vtkRenderWindow,
+    vtkTextActor,
+    vtkTextProperty,
     vtkWindowToImageFilter,
 )
 
@@ -35,6 +39,11 @@ def main() -> None:
     parser.add_argument("picture", type=Path, help="the .png file to write")
     parser.add_argument("--frame", type=int, default=-1)
     parser.add_argument("--color", default="det_f", help="an array of the particles")
+    parser.add_argument("--label", help="what stands at the colours; the array's name by default")
+    parser.add_argument("--title", default="", help="what stands above the picture")
+    parser.add_argument(
+        "--middle", type=float, default=1.0, help="value in the middle of the colours"
+    )
     parser.add_argument("--radius", type=float, default=0.18, help="of a particle, in grid units")
     parser.add_argument("--up", choices=("y", "z"), default="y")
     arguments = parser.parse_args()
@@ -57,29 +66,31 @@ def main() -> None:
     renderer = vtkRenderer()
     renderer.SetBackground(1, 1, 1)
     if values is not None:
-        low, high = values.GetRange()
+        reach = np.quantile(np.abs(vtk_to_numpy(values) - arguments.middle), 0.99)
         colors = vtkColorTransferFunction()  # ParaView's cool to warm
         colors.SetColorSpaceToDiverging()
-        colors.AddRGBPoint(low, 0.23, 0.30, 0.75)
-        colors.AddRGBPoint((low + high) / 2, 0.87, 0.87, 0.87)
-        colors.AddRGBPoint(high, 0.71, 0.02, 0.15)
+        colors.AddRGBPoint(arguments.middle - reach, 0.23, 0.30, 0.75)
+        colors.AddRGBPoint(arguments.middle, 0.87, 0.87, 0.87)
+        colors.AddRGBPoint(arguments.middle + reach, 0.71, 0.02, 0.15)
         mapper.SetLookupTable(colors)
         glyphs.SetInputArrayToProcess(
             0, 0, 0, vtkDataObject.FIELD_ASSOCIATION_POINTS, arguments.color
         )
         glyphs.SetColorModeToColorByScalar()
-        bar = vtkScalarBarActor(lookup_table=colors, title=arguments.color, number_of_labels=5)
+        label = arguments.label or arguments.color
+        bar = vtkScalarBarActor(lookup_table=colors, title=label, number_of_labels=5)
+        bar.SetLabelFormat("%.2f")
         bar.SetUnconstrainedFontSize(True)
         bar.SetPosition(0.86, 0.25)
         bar.SetWidth(0.07)
         bar.SetHeight(0.5)
-        for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty()):
-            text.SetColor(0.1, 0.1, 0.1)
-            text.SetFontSize(18)
-            text.ItalicOff()
-            text.BoldOff()
-            text.ShadowOff()
+        plain(bar.GetTitleTextProperty())
+        plain(bar.GetLabelTextProperty())
         renderer.AddActor(bar)
+    title = vtkTextActor(input=arguments.title)
+    plain(title.GetTextProperty())
+    title.SetPosition(24, 684)
+    renderer.AddActor(title)
     actor = vtkActor()
     actor.SetMapper(mapper)
     renderer.AddActor(actor)
@@ -102,6 +113,15 @@ def main() -> None:
     writer.SetInputConnection(grab.GetOutputPort())
     writer.Write()
     assert arguments.picture.stat().st_size > 0, "The picture should be written."
+
+
+def plain(text: vtkTextProperty) -> None:
+    """Dark upright letters."""
+    text.SetColor(0.1, 0.1, 0.1)
+    text.SetFontSize(20)
+    text.ItalicOff()
+    text.BoldOff()
+    text.ShadowOff()
 
 
 if __name__ == "__main__":

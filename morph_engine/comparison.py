@@ -169,13 +169,14 @@ def measure_path(result: Trajectory | str | Path, leg: int = 0) -> dict[str, flo
         frames = [record.source_points, *places]
         planned = run.planned_frames_of(leg)
         corrections = run.metrics.get("correction")
+        det_f = run.det_f(int(own[-1])) if leg == 0 else None  # F begins with the first leg
     share_of_way = record.config.method.share_of_way
     shares = np.array([share_of_way(frame, planned) for frame in range(len(frames))])
     apart = record.config.spacing * np.cbrt(1 - shares + shares * record.ratio)
     settled = None
     if corrections is not None:  # on average over the particles of each frame
         settled = np.full(record.particle_count, corrections[own].sum())
-    values = path_metrics(frames, apart, shares=shares / shares[-1], settled=settled)
+    values = path_metrics(frames, apart, shares=shares / shares[-1], settled=settled, det_f=det_f)
     mesh, _ = record.fitted("target")
     if mesh is not None:
         last, spacing = frames[-1], float(apart[-1])

@@ -43,9 +43,20 @@ def morph_pictures(folder: Path, meshes: Path) -> None:
             print(f"{method}: {len(list(frames))} frames")
         film = ("--frames", "12", "20", "26", "39", "--up", "z", "--azimuth", "20")
         _script("film_strip.py", results["flow"], folder / "morph.png", *film)
-        _script("vtk_picture.py", results["joint"], folder / "paraview.png", "--up", "z")
+        _script(
+            "vtk_picture.py", results["flow"], folder / "paraview.png", *_labels(results["flow"])
+        )
         _densities(results, folder / "density.png")
         _surface(results["flow"], folder / "surface.png")
+
+
+def _labels(result: Path) -> tuple[str, ...]:
+    """Options of the script: colours around the volume that the target leaves each particle."""
+    with Trajectory(result) as trajectory:
+        ratio = trajectory.run.ratio
+    title = f"Sphere to bunny by flow, last frame; the bunny has {ratio:.2f} times the volume"
+    middle = "--middle", f"{ratio:.2f}"
+    return ("--up", "z", "--title", title, "--label", "det F [ratio]", *middle)
 
 
 def _script(name: str, result: Path, picture: Path, *options: str) -> None:

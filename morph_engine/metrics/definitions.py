@@ -286,6 +286,18 @@ METRICS |= {
         "lower",
         "motion that the simulation did not make",
     ),
+    "local_volume": MetricDefinition(
+        "median_p (rho_0 / rho_1) / schedule",
+        "ratio",
+        "one",
+        "how much room particles have at the end, by the places of their neighbours",
+    ),
+    "det_f_off": MetricDefinition(
+        "mean_p abs(mean_q det F_q * rho_1 / rho_0 - 1)",
+        "ratio",
+        "lower",
+        "how far det F is from the change of the local volume",
+    ),
     # the end against the mesh itself, by random points z of its volume
     "dense_t2s": MetricDefinition(
         "sqrt(mean_z d(z)^2)",

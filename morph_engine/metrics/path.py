@@ -25,6 +25,12 @@ EDGE_OVER_H = 5.0
 """Longest edge of that graph: some 65 edges a node, whose lengths are within 2 % of the way."""
 
 
+INSIDE_OVER_H = 2.5
+"""Radius of the kernel of local volumes: some 65 particles."""
+
+OFF_CENTRE = 0.04
+"""Particles count as inside where the centre of their neighbours is so near, over that radius."""
+
 BODIES = 9
 """Frames of a path, evenly spaced, of which the body is measured."""
 
@@ -35,6 +41,7 @@ def path_metrics(
     *,
     shares: npt.ArrayLike | None = None,
     settled: npt.ArrayLike | None = None,
+    det_f: npt.ArrayLike | None = None,
 ) -> dict[str, float]:
     """Measure a path, by the worst of its frames where a number is one of a frame.
 
@@ -48,11 +55,13 @@ def path_metrics(
         shares: Share of the way at each frame, 0 to 1, for methods that ease or rest, shape
             [frames]; even steps when not given.
         settled: Length of the moves that the simulation did not make [dx], shape [n].
+        det_f: det F of the particles in the last frame [ratio], shape [n].
 
     Returns:
         ``area_min``, ``area_max``, ``volume_min``, ``volume_max``, ``more_pieces``, ``more_euler``
         and the numbers of `neighbor_metrics`, `gap_metrics`, `geodesic_distortion` and
-        `motion_metrics`; ``settled`` if given. `METRICS` defines them.
+        `motion_metrics`; ``settled`` and the numbers of `volume_metrics` if these are given.
+        `METRICS` defines them.
     """
     finite = np.all([np.isfinite(frame).all(axis=1) for frame in frames], axis=0)
     places = [np.asarray(frame, np.float64)[finite] for frame in frames]
@@ -78,6 +87,9 @@ def path_metrics(
     }
     if settled is not None:
         values["settled"] = settled_share(places, np.asarray(settled)[finite])
+    if det_f is not None:
+        ends = float(h[0]), float(h[-1])
+        values |= volume_metrics(places[0], places[-1], np.asarray(det_f)[finite], ends)
     return values
 
 
@@ -116,6 +128,56 @@ def neighbor_metrics(first: npt.ArrayLike, last: npt.ArrayLike, spacing: float) 
     residual = ((moved - rest @ affine) ** 2).sum(axis=2)
     kept = (before[:, :, None] == after[:, None, :]).any(axis=2)
     return {"d2_min": float(residual.mean() / spacing**2), "kept": float(kept.mean())}
+
+
+def volume_metrics(
+    first: npt.ArrayLike,
+    last: npt.ArrayLike,
+    det_f: npt.ArrayLike,
+    spacings: tuple[float, float],
+    *,
+    sample_count: int = 3000,
+) -> dict[str, float]:
+    """What positions say of local volumes, beside what the deformation gradients say.
+
+    The volume around a particle goes as 1 / rho, with rho = sum_q (1 - r^2 / R^2)^2 / R^3 over all
+    particles q at distances r below R = 2.5 h; det F is averaged over the same ones. Near a surface
+    rho says nothing, so only particles inside count.
+
+    Args:
+        first: Particle positions [dx], shape [n, 3].
+        last: The same particles later [dx], shape [n, 3].
+        det_f: Their det F then [ratio], shape [n].
+        spacings: Lattice spacing h of both [dx].
+        sample_count: Particles that are looked at.
+
+    Returns:
+        ``local_volume``: median of rho_0 / rho_1 over (h_1 / h_0)^3. ``det_f_off``: mean of
+        abs(mean det F * rho_1 / rho_0 - 1). Neither where no particle is inside in both.
+    """
+    frames = [np.asarray(frame, np.float64) for frame in (first, last)]
+    ratios = np.asarray(det_f, np.float64)
+    count = len(ratios)
+    chosen = np.random.default_rng(0).permutation(count)[:sample_count]
+    density, off_centre = np.empty((2, len(chosen))), np.empty((2, len(chosen)))
+    around: list[list[int]] = []
+    for side, (points, h) in enumerate(zip(frames, spacings, strict=True)):
+        reach = INSIDE_OVER_H * h
+        around = scipy.spatial.cKDTree(points).query_ball_point(points[chosen], reach)
+        for place, (p, near) in enumerate(zip(chosen, around, strict=True)):
+            away = (points[near] - points[p]) / reach
+            weight = np.maximum(1 - (away**2).sum(axis=1), 0) ** 2
+            density[side, place] = weight.sum() / reach**3
+            off_centre[side, place] = np.linalg.norm(weight @ away) / weight.sum()
+    inside = (off_centre < OFF_CENTRE).all(axis=0)
+    if not inside.any():
+        return {}
+    volume = (density[0] / density[1])[inside]
+    gradient = np.array([ratios[near].mean() for near in around])[inside]
+    return {
+        "local_volume": float(np.median(volume) * (spacings[0] / spacings[1]) ** 3),
+        "det_f_off": float(np.abs(gradient / volume - 1).mean()),
+    }
 
 
 def gap_metrics(positions: npt.ArrayLike, spacing: float) -> dict[str, float]:

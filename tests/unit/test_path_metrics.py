@@ -23,6 +23,7 @@ from morph_engine.metrics.path import (
     part_transfer,
     path_metrics,
     settled_share,
+    volume_metrics,
 )
 
 H = 0.5
@@ -50,6 +51,21 @@ def test_a_rigid_motion_changes_nothing(ball):
     assert m["geodesic"] < 0.015
     assert [m["area_min"], m["area_max"]] == pytest.approx([1, 1], abs=0.01)
     assert [m["volume_min"], m["volume_max"]] == pytest.approx([1, 1], abs=0.01)
+
+
+def test_volumes_of_an_affine_motion_are_its_determinant(ball):
+    """By positions as by gradients, whatever the direction; gradients that lie are found."""
+    moved, grown = ball @ np.diag([1.2, 1.2, 1.2]) @ TURN, 1.2**3
+    there = np.full(len(ball), grown)
+    m = volume_metrics(ball, moved, there, (H, 1.2 * H))
+    assert m["local_volume"] == pytest.approx(1)
+    assert m["det_f_off"] == pytest.approx(0, abs=1e-9)
+    sheared = ball @ np.array([[1, 0.3, 0], [0, 1, 0], [0, 0, 1]])
+    assert volume_metrics(ball, sheared, np.ones(len(ball)), (H, H))["det_f_off"] < 0.02
+    lying = volume_metrics(ball, moved, np.ones(len(ball)), (H, 1.2 * H))
+    assert lying["det_f_off"] == pytest.approx(1 - 1 / grown)
+    corner = np.array([[0, 0, 0], [H, 0, 0], [0, H, 0]])
+    assert volume_metrics(corner, corner, np.ones(3), (H, H)) == {}, "none is inside"
 
 
 def test_lost_particles_take_no_part(ball):
