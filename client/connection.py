@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from chamfer_morph.client.errors import ServiceError, unexpected_answer
 from chamfer_morph.client.retry import FEW_ATTEMPTS, MANY_ATTEMPTS, Attempts
+from chamfer_morph.client.trace_context import add_trace_context
 
 T = TypeVar("T")
 
@@ -57,6 +58,7 @@ class Connection:
             base_url=f"{self.server}/v1",
             headers={"Authorization": f"Bearer {secret}"} if secret else {},
             timeout=timeout_seconds,
+            event_hooks={"request": [add_trace_context]},
         )
 
     async def send(

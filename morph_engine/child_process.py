@@ -11,8 +11,8 @@ from pathlib import Path
 
 NICENESS = 10
 
-SECRET_PREFIXES = ("MORPH_", "AWS_", "PG")
-"""Beginnings of variables that may hold passwords, of service, object store and database."""
+SECRET_PREFIXES = ("MORPH_", "AWS_", "PG", "OTEL_")
+"""Beginnings of variables that may hold passwords: of service, object store, database, traces."""
 
 _RUN_MODULE = (
     "import sys; del sys.argv[0]; sys.path[:1] == [''] and sys.path.pop(0); "

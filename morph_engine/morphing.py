@@ -45,6 +45,7 @@ from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord, Shape, config_at, growths, placement_of
 from morph_engine.results.spool import Checkpoint, Spool
 from morph_engine.results.trajectory import write_result
+from morph_engine.spans import span
 
 ShapeLike = Mesh | NDArray[Any] | str | Path
 """A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
@@ -85,6 +86,7 @@ class Frame:
     leg: int = 0
 
 
+@span("filling")
 def prepare(source: ShapeLike, target: Targets, config: MorphConfig | None = None) -> RunRecord:
     """Turn shapes into particles and target points, in the domain of the configuration.
 
@@ -234,7 +236,8 @@ def run(
             complete = True
         finally:
             if spool.frame_count:
-                write_result(spool, status="complete" if complete else "partial")
+                with span("writing"):
+                    write_result(spool, status="complete" if complete else "partial")
         spool.remove()
 
 
@@ -362,10 +365,22 @@ def _frames_of_leg(
     checkpoint: Checkpoint | None,
 ) -> Iterator[Frame]:
     """The frames of a leg; with a checkpoint, which lies in it, all before that come first."""
-    record, config = leg.record, leg.record.config
     on_stage("preparing")
-    method = kind(leg.problem())
+    with span("preparing", leg=leg.index):
+        method = kind(leg.problem())
     on_stage("computing")
+    with span("computing", leg=leg.index):
+        yield from _computed_frames(leg, method, threads, spool, checkpoint)
+
+
+def _computed_frames(
+    leg: _Leg,
+    method: Method[Any],
+    threads: int,
+    spool: Spool | None,
+    checkpoint: Checkpoint | None,
+) -> Iterator[Frame]:
+    record, config = leg.record, leg.record.config
     stopping = EarlyStopping(config)
     begin, before = 0, record.source_points
     if spool and checkpoint:
@@ -377,35 +392,37 @@ def _frames_of_leg(
     for index in range(begin, config.frames):
         if stopping.stopped:
             return
-        wall, cpu = time.perf_counter(), time.process_time()
-        outcome = leg.advance(method, index)
-        metrics = _measure(outcome, record, threads)
-        observed = stopping.observe(index, metrics["s2t"])
-        events = [
-            *(_placed(leg.whole) if leg.first + index == 0 else ()),
-            *(leg.event(event) for event in (*outcome.events, *observed)),
-        ]
-        if stopping.stopped or index == config.frames - 1:
-            metrics |= _measure_fill(outcome, record, threads)
-        metrics |= outcome.numbers
-        metrics["max_move"] = _max_move(before, outcome.positions)
-        before = outcome.positions
-        frame = Frame(
-            index=leg.first + index,
-            positions=outcome.positions,
-            metrics=metrics,
-            events=tuple(events),
-            seconds=time.perf_counter() - wall,
-            cpu_seconds=time.process_time() - cpu,
-            det_f=_det_f(outcome),
-            leg=leg.index,
-        )
-        if spool:
-            documents = [event.document() for event in events]
-            spool.append(
-                frame.index, frame.positions, metrics, documents, frame.det_f, leg=leg.index
+        with span("frame", frame=leg.first + index):
+            wall, cpu = time.perf_counter(), time.process_time()
+            outcome = leg.advance(method, index)
+            metrics = _measure(outcome, record, threads)
+            observed = stopping.observe(index, metrics["s2t"])
+            events = [
+                *(_placed(leg.whole) if leg.first + index == 0 else ()),
+                *(leg.event(event) for event in (*outcome.events, *observed)),
+            ]
+            if stopping.stopped or index == config.frames - 1:
+                with span("measuring"):
+                    metrics |= _measure_fill(outcome, record, threads)
+            metrics |= outcome.numbers
+            metrics["max_move"] = _max_move(before, outcome.positions)
+            before = outcome.positions
+            frame = Frame(
+                index=leg.first + index,
+                positions=outcome.positions,
+                metrics=metrics,
+                events=tuple(events),
+                seconds=time.perf_counter() - wall,
+                cpu_seconds=time.process_time() - cpu,
+                det_f=_det_f(outcome),
+                leg=leg.index,
             )
-            spool.save_checkpoint(frame.index, method.state(), stopping.state())
+            if spool:
+                documents = [event.document() for event in events]
+                spool.append(
+                    frame.index, frame.positions, metrics, documents, frame.det_f, leg=leg.index
+                )
+                spool.save_checkpoint(frame.index, method.state(), stopping.state())
         yield frame
 
 

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from typing import TYPE_CHECKING
 
-from chamfer_morph.worker import service_log
+from chamfer_morph.worker import service_log, telemetry
 from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.errors import MorphError
 
@@ -87,6 +87,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
         from chamfer_morph.server.listener import listen
 
         allow_many_files()
+        telemetry.set_up("morph-api")
         # parts of forms lie beside the meshes on their way in, for /tmp may be memory
         tempfile.tempdir = str(open_storage(settings, "api").uploads)
         inherited = arguments.fd is not None

@@ -15,6 +15,7 @@ from chamfer_morph.server.http import openapi, problems
 from chamfer_morph.server.http.audit import AuditMiddleware
 from chamfer_morph.server.http.local_only import LocalOnlyMiddleware
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
+from chamfer_morph.server.http.tracing import TraceMiddleware
 from chamfer_morph.server.routes import (
     catalog,
     events,
@@ -38,6 +39,7 @@ from chamfer_morph.server.routes import (
     webhooks,
     workers,
 )
+from chamfer_morph.worker import telemetry
 from chamfer_morph.worker.settings import Settings
 
 DESCRIPTION = """\
@@ -95,6 +97,8 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(LocalOnlyMiddleware)
     app.add_middleware(health.MetricsMiddleware, metrics)
     app.add_middleware(AuditMiddleware)
+    if telemetry.is_on():
+        app.add_middleware(TraceMiddleware)
     v1 = APIRouter(prefix="/v1")
     for resource in ROUTERS:
         v1.include_router(resource.router)

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 
-from chamfer_morph.worker import service_log
+from chamfer_morph.worker import service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings, load_settings
 from chamfer_morph.worker.slots import WorkerSlots, executor_id
@@ -50,6 +50,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> None:
     open_storage(settings, executor)
     check_reachable(settings)
     if runs:
+        telemetry.set_up("morph-worker")
         run_slot(settings, executor)
     elif arguments.command == "janitor":
         from chamfer_morph.worker import janitor
@@ -114,6 +115,7 @@ def run_slot(settings: Settings, executor: str) -> None:
             if paused and not slots.is_paused(executor):
                 os._exit(ExitCode.PAUSED)  # start again, unpaused
     spare.end()
+    telemetry.flush()
     os._exit(0)  # the engine process of its job ends with it
 
 

@@ -15,6 +15,7 @@ from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.telemetry import EngineSpans, is_on
 from morph_engine.machine_memory import total_memory
 
 HEARTBEAT_SECONDS = 1.0
@@ -67,7 +68,7 @@ async def run_attempt(
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
     largest = settings.job_memory_bytes or total_memory()
     engine = spare.take(spec, job_dir)
-    engine.assign(job_dir, attempt)
+    engine.assign(job_dir, attempt, EngineSpans(spec.frame_count) if is_on() else None)
     ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
     try:
         while not ended.done():

@@ -1,11 +1,11 @@
 """An engine process: it computes one job. Its arguments are THREADS and perhaps EXTENT, see `main`.
 
 Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
-`job_dir` and `attempt`, writes frames, checkpoint, events and result, and tells its worker about
-them in JSON lines on standard output. It computes only while it holds the lock of the job
-directory, and only as long as its worker lives: with a job, the worker sends a byte a second on
-standard input. At the end of the input, or after six silent seconds, the process ends at once; on
-STOP it makes a result of the finished frames first.
+`job_dir`, `attempt` and whether it is `traced`, writes frames, checkpoint, events and result, and
+tells its worker about them in JSON lines on standard output. It computes only while it holds the
+lock of the job directory, and only as long as its worker lives: with a job, the worker sends a byte
+a second on standard input. At the end of the input, or after six silent seconds, the process ends
+at once; on STOP it makes a result of the finished frames first.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import select
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -30,7 +31,7 @@ from chamfer_morph.worker.job import JobSpec, problem_of
 from chamfer_morph.worker.kept_states import keep_state
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
-from morph_engine import backend, kept_results
+from morph_engine import backend, kept_results, spans
 from morph_engine.child_process import lower_priority
 from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
@@ -59,6 +60,8 @@ def main(threads: int, extent: int = TYPICAL_EXTENT) -> None:
     if all(jobs.empty() for _ in warm_up(threads, extent)):
         _send("ready", {"device": backend.active().device})
     job = jobs.get()
+    if job["traced"]:
+        spans.listen(_SpanMessages())
     job_dir = Path(job["job_dir"])
     _write_messages_to(job_dir / "log.txt")
     storage = Storage(job_dir.parent.parent)
@@ -203,6 +206,16 @@ def _outcome(out: Path, cpu_before: float) -> Outcome:
         cpu_seconds=time.process_time() - cpu_before,
         peak_memory_mb=peak_memory() / 1e6,
     )
+
+
+class _SpanMessages:
+    """Tells the worker of spans, when they begin and end [ns since 1970]."""
+
+    def begin(self, name: str, attributes: Mapping[str, int]) -> None:
+        _send("span_begins", {"name": name, "at": time.time_ns(), "attributes": attributes})
+
+    def end(self) -> None:
+        _send("span_ends", {"at": time.time_ns()})
 
 
 def _watch_worker(jobs: Queue[dict[str, Any]]) -> None:

@@ -31,6 +31,7 @@ from dbos import (
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.worker import job_trace
 from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
@@ -185,7 +186,12 @@ class JobQueue:
                     "priority": self._next_place(owner),
                     "authenticated_user": owner or NOBODY,
                     "serialization_type": WorkflowSerializationFormat.PORTABLE,
-                    "attributes": {"owner": owner, "priority": priority, **(attributes or {})},
+                    "attributes": {
+                        "owner": owner,
+                        "priority": priority,
+                        **(attributes or {}),
+                        **job_trace.of_submission(),
+                    },
                 },
                 spec.model_dump(mode="json"),
             )
@@ -480,6 +486,8 @@ class JobQueue:
         owner = job.owner if job else ""
         queue = self._own.queue_of(owner or NOBODY)
         self._own.move_finished(job_id, self._next_place(owner))  # its old one would be unfair
+        if again := job_trace.of_next_run():
+            self._client.update_workflow_attributes(job_id, again, merge=True)
         try:
             self._client.rewind_workflow(
                 job_id, application_version=APPLICATION_VERSION, queue_name=queue

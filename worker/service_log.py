@@ -8,6 +8,7 @@ from contextvars import ContextVar
 from datetime import datetime, timezone
 from typing import Any
 
+from chamfer_morph.worker import telemetry
 from chamfer_morph.worker.settings import Settings
 
 job_id: ContextVar[str] = ContextVar("job_id", default="")
@@ -32,8 +33,9 @@ def set_up(settings: Settings) -> None:
 class JsonFormatter(logging.Formatter):
     """A line is one JSON object.
 
-    It has `time` in UTC, `level`, `logger`, `message`, `job` where the line is about one, `error`
-    with the traceback where there is one, and what the caller gave as `extra={"fields": {...}}`.
+    It has `time` in UTC, `level`, `logger`, `message`, `job` where the line is about one,
+    `trace_id` and `span_id` where a span is active, `error` with the traceback where there is one,
+    and what the caller gave as `extra={"fields": {...}}`.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -46,6 +48,7 @@ class JsonFormatter(logging.Formatter):
         }
         if job := job_id.get():
             line["job"] = job
+        line |= telemetry.ids()
         fields = getattr(record, "fields", None)
         line |= fields if fields is not None else {}
         line.setdefault("message", record.getMessage())

@@ -16,7 +16,7 @@ from dbos import error as dbos_error
 from sqlalchemy.exc import DBAPIError
 
 from chamfer_morph.schemas import MeshShape, Outcome, Problem
-from chamfer_morph.worker import queue, service_log
+from chamfer_morph.worker import job_trace, queue, service_log, telemetry
 from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
 from chamfer_morph.worker.dbos_adapter import (
     SERIALIZER,
@@ -113,9 +113,21 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     job_id = DBOS.workflow_id
     assert job_id is not None
     service_log.job_id.set(job_id)
+    attributes = await _attributes(job_id) if telemetry.is_on() else {}
+    with job_trace.run_of(job_id, attributes, _executor) as run:
+        return await _compute(job_id, JobSpec.model_validate(spec), run)
+
+
+async def _attributes(job_id: str) -> dict[str, Any]:
+    """What is attached to the job."""
+    status = await DBOS.get_workflow_status_async(job_id)
+    return (status and status.attributes) or {}
+
+
+async def _compute(job_id: str, spec: JobSpec, run: job_trace.Run) -> dict[str, Any]:
     storage = open_storage(_settings, _executor)
     try:
-        outcome = await _attempt(storage, job_id, JobSpec.model_validate(spec))
+        outcome = await _attempt(storage, job_id, spec, run)
         with _explaining():
             await patiently(partial(storage.publish, job_id), _settings.object_store_seconds)
     except BaseException:
@@ -127,7 +139,7 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     return outcome.model_dump(mode="json")
 
 
-async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
+async def _attempt(storage: Storage, job_id: str, spec: JobSpec, run: job_trace.Run) -> Outcome:
     """Attempt a job until it succeeds, is refused, or has failed too often."""
     log = storage.events(job_id)
     attempt, failures = 0, 0
@@ -137,14 +149,18 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec) -> Outcome:
                 await patiently(
                     partial(_take_over, storage, job_id, spec), _settings.object_store_seconds
                 )
-            begun = sum(event.type == "attempt" for event in log.read(limit=10**9))
+            events = log.read(limit=10**9)
+            if not attempt:
+                run.record_wait(events)
+            begun = sum(event.type == "attempt" for event in events)
             attempt = max(attempt, begun) + 1
             _tell("begins", attempt=attempt, worker=_executor)
-            async with publishing(storage, job_id) as publication:
-                beat = partial(_heartbeat, publication)
-                outcome = await run_attempt(
-                    storage.job_dir(job_id), attempt, _settings, _spare, beat
-                )
+            with telemetry.span("attempt", {"morph.attempt": attempt}):
+                async with publishing(storage, job_id) as publication:
+                    beat = partial(_heartbeat, publication)
+                    outcome = await run_attempt(
+                        storage.job_dir(job_id), attempt, _settings, _spare, beat
+                    )
             _tell("done", attempt=attempt, worker=_executor)
             return outcome
         except AttemptFailed as failure:

@@ -27,6 +27,7 @@ from morph_engine.sections import (
     RestartingWatchdogConfig,
 )
 from morph_engine.smoothstep import smoothstep
+from morph_engine.spans import span
 
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
@@ -162,7 +163,8 @@ class Flow(MpmMethod[FlowOptions]):
             [problem.source / edge, problem.target / edge], spacing, self._settling.cells
         )
         axis = flow.fine_axis(self._grid)
-        self._like_parts = LikeParts(problem, options.like_parts, options.landmarks)
+        with span("matching"):
+            self._like_parts = LikeParts(problem, options.like_parts, options.landmarks)
         self._path = flow.BodyPath(
             self._distance(problem.source_mesh, problem.source, axis),
             self._distance(problem.target_mesh, problem.target, axis),

@@ -74,11 +74,11 @@ class AuditMiddleware:
         finally:
             caller = scope.get("state", {}).get("caller")
             if scope["method"] not in READING and (caller is None or caller.name):
-                line = _line(scope, caller, name, status, seconds) | {"job": _job(scope, made)}
+                line = _line(scope, caller, name, status, seconds) | {"job": job_of(scope, made)}
                 _log.info(json.dumps(line), extra={"fields": line | {"message": "request"}})
 
 
-def _job(scope: Scope, made: str) -> str:
+def job_of(scope: Scope, made: str) -> str:
     """The job that a request is about: that of its path, or the one that it has made."""
     new = JOB.search(made)
     job: str = new[1] if new else scope.get("path_params", {}).get("job_id", "")

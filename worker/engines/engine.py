@@ -16,6 +16,7 @@ import psutil
 from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.telemetry import EngineSpans
 from morph_engine.child_process import environment_without_secrets, python_command
 
 
@@ -47,6 +48,7 @@ class Engine:
         self.last_message_at: float = time.monotonic()
         self.peak_memory: int = 0
         self._device: str | None = None  # once it is ready
+        self._spans: EngineSpans | None = None
         arguments = [str(threads), *([str(extent)] if extent else [])]
         self._process = subprocess.Popen(
             python_command("chamfer_morph.worker.engine_process", *arguments),
@@ -69,10 +71,12 @@ class Engine:
         fits = spec.config.precision == "float32" and spec.device in ("auto", self._device)
         return self._device is not None and fits and not self.ended
 
-    def assign(self, job_dir: Path, attempt: int) -> None:
-        """Let it compute a job."""
+    def assign(self, job_dir: Path, attempt: int, spans: EngineSpans | None = None) -> None:
+        """Let it compute a job, and tell of its spans if somebody takes them."""
         self.last_message_at = time.monotonic()
-        self._send(json.dumps({"job_dir": str(job_dir), "attempt": attempt}).encode() + b"\n")
+        self._spans = spans
+        job = {"job_dir": str(job_dir), "attempt": attempt, "traced": spans is not None}
+        self._send(json.dumps(job).encode() + b"\n")
 
     def beat(self) -> None:
         """Tell it that its worker lives, and look how much memory it uses."""
@@ -109,8 +113,14 @@ class Engine:
                 for line in whole:
                     with contextlib.suppress(ValueError):  # anything else that was printed
                         self._receive(json.loads(line))
+        if self._spans:
+            self._spans.close()
 
     def _receive(self, message: dict[str, Any]) -> None:
+        if self._spans and message["type"] == "span_begins":
+            return self._spans.begin(**message["data"])
+        if self._spans and message["type"] == "span_ends":
+            return self._spans.end(**message["data"])
         self.last_message_at = time.monotonic()
         match message["type"]:
             case "ready":

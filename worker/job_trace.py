@@ -1,0 +1,76 @@
+"""A job in traces: what of a trace lies in the queue with it, and the spans of a run of it.
+
+Every run of a job, by whichever worker, is a child of the request that submitted it. One that was
+asked for by another request, to resume or retry the job, has a link to that.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from chamfer_morph.schemas import Event
+from chamfer_morph.worker import telemetry
+
+QUEUED_AT, REQUEST = "queued_at", "run_request"
+"""Attributes of a job beside its carrier: when it was queued last [ns], and by which span."""
+
+
+def of_submission() -> dict[str, Any]:
+    """What to attach to a job that is queued now; nothing without traces."""
+    return {**telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
+
+
+def of_next_run() -> dict[str, Any]:
+    """What to attach to a job that is queued again now; nothing without traces."""
+    if not telemetry.is_on():
+        return {}
+    return {REQUEST: telemetry.carrier().get("traceparent", ""), QUEUED_AT: time.time_ns()}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of a job.
+
+    Attributes:
+        begun: When it began [ns since 1970].
+        queued_at: When the job was queued [ns since 1970]; None where nobody knows.
+        submission: Carrier of the request that submitted the job.
+        about: Attributes of its spans.
+    """
+
+    begun: int
+    queued_at: int | None
+    submission: Mapping[str, str]
+    about: Mapping[str, str]
+
+    def record_wait(self, events: Sequence[Event]) -> None:
+        """Tell how long the job has waited: since it was queued, or the last event of a lost run.
+
+        Args:
+            events: What has happened to the job before.
+        """
+        if self.queued_at is None:
+            return
+        last = max((round(event.at.timestamp() * 1e9) for event in events), default=0)
+        since = max(self.queued_at, last)
+        telemetry.record("queue", since, self.begun, self.about, self.submission)
+
+
+@contextmanager
+def run_of(job_id: str, attributes: Mapping[str, Any], worker: str) -> Iterator[Run]:
+    """The span of a run.
+
+    Args:
+        job_id: The job.
+        attributes: What is attached to it.
+        worker: The slot that runs it.
+    """
+    about = {"morph.job.id": job_id, "morph.worker": worker}
+    submission = telemetry.carried(attributes)
+    request = {"traceparent": str(attributes.get(REQUEST, ""))}
+    with telemetry.span("job", about, parent=submission, link=request, kind="consumer"):
+        yield Run(time.time_ns(), attributes.get(QUEUED_AT), submission, about)
