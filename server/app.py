@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import metadata
+from typing import TYPE_CHECKING
 
 import anyio
 from fastapi import APIRouter, FastAPI
@@ -15,7 +16,6 @@ from chamfer_morph.server.http import openapi, problems
 from chamfer_morph.server.http.audit import AuditMiddleware
 from chamfer_morph.server.http.local_only import LocalOnlyMiddleware
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
-from chamfer_morph.server.http.tracing import TraceMiddleware
 from chamfer_morph.server.routes import (
     catalog,
     events,
@@ -41,6 +41,9 @@ from chamfer_morph.server.routes import (
 )
 from chamfer_morph.worker import telemetry
 from chamfer_morph.worker.settings import Settings
+
+if TYPE_CHECKING:
+    from fastapi.telemetry import TelemetryConfig
 
 DESCRIPTION = """\
 Morph one 3D shape into another by physics: upload meshes, submit jobs, watch them, fetch results.
@@ -72,6 +75,7 @@ def create_app(settings: Settings) -> FastAPI:
             context.event_hub.close()
             context.close_computations()
             await anyio.to_thread.run_sync(context.close)
+            await anyio.to_thread.run_sync(telemetry.flush)
 
     app = FastAPIOffline(  # /docs works without a network
         title="morph",
@@ -81,6 +85,7 @@ def create_app(settings: Settings) -> FastAPI:
         lifespan=lifespan,
         redirect_slashes=False,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        telemetry=_telemetry(),
     )
     app.state.metrics = metrics
     problems.install(app)
@@ -97,8 +102,6 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(LocalOnlyMiddleware)
     app.add_middleware(health.MetricsMiddleware, metrics)
     app.add_middleware(AuditMiddleware)
-    if telemetry.is_on():
-        app.add_middleware(TraceMiddleware)
     v1 = APIRouter(prefix="/v1")
     for resource in ROUTERS:
         v1.include_router(resource.router)
@@ -107,3 +110,17 @@ def create_app(settings: Settings) -> FastAPI:
     app.include_router(web_page.router)
     openapi.install(app)
     return app
+
+
+def _telemetry() -> TelemetryConfig:
+    """A span for each request of the API, if this process is traced; probes have none."""
+    provider = telemetry.provider()
+    return {
+        "tracing": provider is not None,
+        "tracer_provider": provider,
+        "exclude": lambda scope: not scope["path"].startswith("/v1/"),
+        "operation_spans": False,
+        "metrics": False,
+        "logs": False,
+        "auto_configure": False,
+    }

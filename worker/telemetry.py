@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
 
 Attributes = Mapping[str, str | int | float]
-Kind = Literal["internal", "server", "consumer"]
+Kind = Literal["internal", "consumer"]
 
 CARRIED = ("traceparent", "tracestate")
 """What a carrier may have."""
@@ -37,6 +37,7 @@ log: logging.Logger = logging.getLogger(__name__)
 
 _provider: TracerProvider | None = None
 _tracer: trace.Tracer | None = None
+_open: set[trace.Span] = set()
 
 
 def set_up(service: str) -> None:
@@ -64,7 +65,8 @@ def set_up(service: str) -> None:
         )
         return
     named = OTELResourceDetector().detect().attributes
-    _provider = TracerProvider(resource=Resource.create({"service.name": service, **named}))
+    resource = Resource.create({"service.name": service, **named})
+    _provider = TracerProvider(resource=resource, shutdown_on_exit=False)  # which may take long
     _provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
     _tracer = _provider.get_tracer("chamfer_morph")
 
@@ -82,36 +84,19 @@ def is_on() -> bool:
     return _tracer is not None
 
 
+def provider() -> TracerProvider | None:
+    """Where spans come from, for libraries that make some themselves; None without traces."""
+    return _provider
+
+
 def flush() -> None:
-    """Send what has not been sent yet, in a process that ends without atexit; waits not long."""
+    """End all spans as failed and send them, before this process ends; waits not long."""
+    for span in list(_open):
+        _end_as_broken(span, "The process ended.")
     if _provider is not None:
         sending = threading.Thread(target=_provider.force_flush, daemon=True)
         sending.start()
         sending.join(FLUSH_SECONDS)
-
-
-class Span:
-    """A span that goes on; of a process that is not traced, nothing."""
-
-    def __init__(self, span: trace.Span | None = None) -> None:
-        self._span = span
-
-    def rename(self, name: str) -> None:
-        """Give it a name that was not known when it began."""
-        if self._span is not None:
-            self._span.update_name(name)
-
-    def set(self, attributes: Attributes) -> None:
-        """Add attributes."""
-        if self._span is not None:
-            self._span.set_attributes(attributes)
-
-    def fail(self, why: str) -> None:
-        """Mark it as failed."""
-        if self._span is not None:
-            from opentelemetry.trace import Status, StatusCode
-
-            self._span.set_status(Status(StatusCode.ERROR, why))
 
 
 @contextmanager
@@ -122,7 +107,7 @@ def span(
     parent: Mapping[str, str] | None = None,
     link: Mapping[str, str] | None = None,
     kind: Kind = "internal",
-) -> Iterator[Span]:
+) -> Iterator[None]:
     """A span around what follows, which is failed if that raises.
 
     Args:
@@ -134,7 +119,7 @@ def span(
         kind: Its part in a conversation between processes.
     """
     if _tracer is None:
-        yield Span()
+        yield
         return
     from opentelemetry.trace import Link, SpanKind, get_current_span
 
@@ -146,7 +131,11 @@ def span(
         attributes=attributes,
         links=[Link(linked)] if linked and linked.is_valid else None,
     ) as started:
-        yield Span(started)
+        _open.add(started)
+        try:
+            yield
+        finally:
+            _open.discard(started)
 
 
 def record(
@@ -164,6 +153,14 @@ def record(
     if _tracer is not None:
         past = _tracer.start_span(name, _context(parent), attributes=attributes, start_time=begin)
         past.end(max(begin, end))
+
+
+def annotate(attributes: Attributes) -> None:
+    """Add attributes to the active span, if there is one."""
+    if _tracer is not None:
+        from opentelemetry.trace import get_current_span
+
+        get_current_span().set_attributes(attributes)
 
 
 def carrier() -> dict[str, str]:
@@ -219,27 +216,35 @@ class EngineSpans:
             self._open.append(None)
             return
         named = {f"morph.{key}": value for key, value in attributes.items()}
-        self._open.append(
-            _tracer.start_span(name, self._innermost(), attributes=named, start_time=at)
-        )
+        started = _tracer.start_span(name, self._innermost(), attributes=named, start_time=at)
+        _open.add(started)
+        self._open.append(started)
 
     def end(self, at: int) -> None:
         """The innermost span has ended, at a time in nanoseconds since 1970."""
         if self._open and (ended := self._open.pop()):
+            _open.discard(ended)
             ended.end(at)
 
     def close(self) -> None:
         """The engine is gone."""
         while self._open:
             if broken := self._open.pop():
-                Span(broken).fail("The engine ended.")
-                broken.end()
+                _end_as_broken(broken, "The engine ended.")
 
     def _innermost(self) -> Context:
         from opentelemetry.trace import set_span_in_context
 
         found = next((span for span in reversed(self._open) if span), None)
         return set_span_in_context(found, self._outside) if found else self._outside
+
+
+def _end_as_broken(span: trace.Span, why: str) -> None:
+    from opentelemetry.trace import Status, StatusCode
+
+    _open.discard(span)
+    span.set_status(Status(StatusCode.ERROR, why))
+    span.end()
 
 
 def _context(carrier: Mapping[str, str]) -> Context:

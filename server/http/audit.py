@@ -18,6 +18,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.server.database.callers import Caller
+from chamfer_morph.worker import telemetry
 
 HEADER = "X-Request-ID"
 
@@ -67,6 +68,8 @@ class AuditMiddleware:
                 headers = MutableHeaders(scope=message)
                 headers[HEADER] = name
                 made = headers.get("Location", "")
+                if job := _job(scope, made):
+                    telemetry.annotate({"morph.job.id": job})
             await send(message)
 
         try:
@@ -74,11 +77,11 @@ class AuditMiddleware:
         finally:
             caller = scope.get("state", {}).get("caller")
             if scope["method"] not in READING and (caller is None or caller.name):
-                line = _line(scope, caller, name, status, seconds) | {"job": job_of(scope, made)}
+                line = _line(scope, caller, name, status, seconds) | {"job": _job(scope, made)}
                 _log.info(json.dumps(line), extra={"fields": line | {"message": "request"}})
 
 
-def job_of(scope: Scope, made: str) -> str:
+def _job(scope: Scope, made: str) -> str:
     """The job that a request is about: that of its path, or the one that it has made."""
     new = JOB.search(made)
     job: str = new[1] if new else scope.get("path_params", {}).get("job_id", "")
