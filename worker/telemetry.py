@@ -64,6 +64,7 @@ def set_up(service: str) -> None:
             "pip install 'chamfer-morph[telemetry]'."
         )
         return
+    logging.getLogger("opentelemetry.exporter").setLevel(logging.ERROR)  # not of each repetition
     named = OTELResourceDetector().detect().attributes
     resource = Resource.create({"service.name": service, **named})
     _provider = TracerProvider(resource=resource, shutdown_on_exit=False)  # which may take long
