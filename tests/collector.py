@@ -17,6 +17,9 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import (
     ExportTraceServiceResponse,
 )
 
+PATIENCE = 600.0
+"""What a wait gives up after [s]: long, for both cores may have other work."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenSpan:
@@ -50,13 +53,13 @@ class Collector:
         """Spans of a name, by when they began."""
         return sorted((span for span in self.spans if span.name == name), key=lambda s: s.begin)
 
-    def wait_for(self, condition: Callable[[], bool], what: str, seconds: float = 60) -> None:
+    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
         """Wait until something is true of what has come."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE
         while not condition():
             if time.monotonic() > deadline:
                 names = [span.name for span in self.spans]
-                pytest.fail(f"{what}: not within {seconds} s, only {names}.")
+                pytest.fail(f"{what}: not within {PATIENCE} s, only {names}.")
             time.sleep(0.05)
 
 

@@ -1,7 +1,8 @@
 """A job in traces: what of a trace lies in the queue with it, and the spans of a run of it.
 
 Every run of a job, by whichever worker, is a child of the request that submitted it. One that was
-asked for by another request, to resume or retry the job, has a link to that.
+asked for by another request, to resume or retry the job, has a link to that, or is its child if the
+job was submitted without traces.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from chamfer_morph.schemas import Event
 from chamfer_morph.worker import telemetry
 
 QUEUED_AT, REQUEST = "queued_at", "run_request"
-"""Attributes of a job beside its carrier: when it was queued last [ns], and by which span."""
+"""Attributes of a job beside its carrier: when it was queued last [ns]; the carrier of who did."""
 
 
 def of_submission() -> dict[str, Any]:
@@ -26,9 +27,7 @@ def of_submission() -> dict[str, Any]:
 
 def of_next_run() -> dict[str, Any]:
     """What to attach to a job that is queued again now; nothing without traces."""
-    if not telemetry.is_on():
-        return {}
-    return {REQUEST: telemetry.carrier().get("traceparent", ""), QUEUED_AT: time.time_ns()}
+    return {REQUEST: telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,13 @@ class Run:
     Attributes:
         begun: When it began [ns since 1970].
         queued_at: When the job was queued [ns since 1970]; None where nobody knows.
-        submission: Carrier of the request that submitted the job.
+        parent: Carrier of the request that it belongs to; empty where there is none.
         about: Attributes of its spans.
     """
 
     begun: int
     queued_at: int | None
-    submission: Mapping[str, str]
+    parent: Mapping[str, str]
     about: Mapping[str, str]
 
     def record_wait(self, events: Sequence[Event]) -> None:
@@ -53,11 +52,11 @@ class Run:
         Args:
             events: What has happened to the job before.
         """
-        if self.queued_at is None:
+        if self.queued_at is None or not self.parent:
             return
         last = max((round(event.at.timestamp() * 1e9) for event in events), default=0)
         since = max(self.queued_at, last)
-        telemetry.record("queue", since, self.begun, self.about, self.submission)
+        telemetry.record("queue", since, self.begun, self.about, self.parent)
 
 
 @contextmanager
@@ -70,7 +69,7 @@ def run_of(job_id: str, attributes: Mapping[str, Any], worker: str) -> Iterator[
         worker: The slot that runs it.
     """
     about = {"morph.job.id": job_id, "morph.worker": worker}
-    submission = telemetry.carried(attributes)
-    request = {"traceparent": str(attributes.get(REQUEST, ""))}
-    with telemetry.span("job", about, parent=submission, link=request, kind="consumer"):
-        yield Run(time.time_ns(), attributes.get(QUEUED_AT), submission, about)
+    request = attributes.get(REQUEST)
+    parent = telemetry.carried(attributes) or request or {}
+    with telemetry.span("job", about, parent=parent, link=request, kind="consumer"):
+        yield Run(time.time_ns(), attributes.get(QUEUED_AT), parent, about)

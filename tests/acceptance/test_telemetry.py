@@ -10,12 +10,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
 from chamfer_morph.client import MorphClient
-from tests.collector import Collector, SeenSpan, collecting
+from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS
+from tests.collector import PATIENCE, Collector, collecting
 from tests.live_service import LiveService, free_port
 
 FRAMES = 4
@@ -53,8 +55,8 @@ def traced(collector: Collector) -> dict[str, str]:
     return {"OTEL_EXPORTER_OTLP_ENDPOINT": collector.url, "OTEL_BSP_SCHEDULE_DELAY": "100"}
 
 
-def only(spans: list[SeenSpan]) -> SeenSpan:
-    """The one span."""
+def only(spans: list[Any]) -> Any:
+    """The one that is there."""
     (found,) = spans
     return found
 
@@ -102,12 +104,17 @@ def test_one_trace_from_the_request_to_the_frames(
     assert {span.attributes["morph.job.id"] for span in (request, queue, run)} == {job.id}
     assert (request.service, run.service) == ("morph-api", "morph-worker")
 
+    stranger = {"Authorization": "Bearer unknown"}
+    assert service.call("POST", "/v1/jobs/none/cancel", headers=stranger).status_code == 401
     service.stop()
     log = (service.data_dir / "service.log").read_text().splitlines()
     lines = [json.loads(line) for line in log if line.startswith("{")]
     told = {line["message"]: line for line in lines if line.get("job") == job.id}
     assert told["begins"]["trace_id"] == told["done"]["trace_id"] == trace
     assert told["begins"]["span_id"] == run.span_id
+    refused = only([line for line in lines if line.get("status") == 401])
+    cancel = only(collector.named("POST /v1/jobs/{job_id}/cancel"))
+    assert (refused["trace_id"], refused["span_id"]) == (cancel.trace_id, cancel.span_id)
 
 
 def test_a_job_of_a_killed_worker_goes_on_in_its_trace(
@@ -118,7 +125,7 @@ def test_a_job_of_a_killed_worker_goes_on_in_its_trace(
     job = service.submit(method="flow", frames=60)
     collector.wait_for(lambda: len(collector.named("frame")) > 2, "frames of the first run")
     os.kill(worker_of(service), signal.SIGKILL)
-    assert service.wait_for(job, "succeeded", "failed")["state"] == "succeeded"
+    assert service.wait_for(job, "succeeded", "failed", seconds=PATIENCE)["state"] == "succeeded"
     collector.wait_for(lambda: bool(collector.named("job")), "the job's span")
 
     request, run = only(collector.named("POST /v1/jobs")), only(collector.named("job"))
@@ -137,11 +144,12 @@ def test_a_job_of_a_killed_worker_goes_on_in_its_trace(
     assert first.end <= lost[0].begin < lost[-1].end <= second.end <= run.begin + 10**9
 
 
+@POSTGRES_BY_FAULT_TESTS
 def test_a_killed_engine_and_a_resumed_job(
-    new_service: Callable[..., LiveService], collector: Collector
+    new_service: Callable[..., LiveService], collector: Collector, database_url: str
 ) -> None:
     """The next attempt lies beside the failed one; a resumed job is linked with what resumed it."""
-    service = new_service(**traced(collector))
+    service = new_service(**traced(collector), MORPH_DATABASE_URL=database_url)
     job = service.submit(method="flow", frames=60)
     collector.wait_for(lambda: len(collector.named("frame")) > 2, "frames of the first run")
     os.kill(engine_of(service), signal.SIGKILL)
@@ -150,7 +158,7 @@ def test_a_killed_engine_and_a_resumed_job(
     assert service.wait_for(job, "cancelled", "succeeded")["state"] == "cancelled"
     collector.wait_for(lambda: bool(collector.named("job")), "the cancelled run")
     assert service.call("POST", f"/v1/jobs/{job}/resume").is_success
-    service.wait_for(job, "succeeded")
+    service.wait_for(job, "succeeded", seconds=PATIENCE)
     collector.wait_for(lambda: len(collector.named("job")) == 2, "the resumed run")
 
     request = only(collector.named("POST /v1/jobs"))
@@ -185,7 +193,7 @@ def test_a_worker_that_is_stopped_ends_its_spans(
 def test_nothing_is_imported_without_the_variables(new_service: Callable[..., LiveService]) -> None:
     """No process of a service has loaded OpenTelemetry's SDK or an exporter."""
     service = new_service(PYTHONPROFILEIMPORTTIME="1")
-    service.wait_for(service.submit(), "succeeded")
+    service.wait_for(service.submit(), "succeeded", seconds=PATIENCE)
     service.stop()
     log = (service.data_dir / "service.log").read_text()
     assert "fastapi" in log and "dbos" in log  # it does tell what is imported
