@@ -121,7 +121,7 @@ lock:  ## resolve the versions again (needs uv)
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra docs -c requirements.lock -o requirements-docs.lock pyproject.toml
 	uv pip compile --python-platform linux --python-version 3.13 --generate-hashes --no-emit-index-url \
-	  --no-header --upgrade --extra object-store --extra telemetry --extra usd --extra video -c requirements.lock \
+	  --no-header --upgrade --extra all -c requirements.lock \
 	  -o requirements-image.lock pyproject.toml
 
 audit: install  ## known weaknesses of the locked packages, by pip-audit; asks PyPI

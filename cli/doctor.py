@@ -12,16 +12,21 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from chamfer_morph.cli.tables import format_size
-from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.child_process import describe_exit, python_command
-from morph_engine.errors import MorphError
+from morph_engine.errors import ExtraError, MorphError
 from morph_engine.system_libraries import LIBRARIES, installation, missing_libraries
 
-PACKAGES = ("taichi", "numpy", "scipy", "trimesh", "h5py", "fastapi", "dbos")
+if TYPE_CHECKING:
+    from chamfer_morph.worker.settings import Settings
+
+PACKAGES = ("taichi", "numpy", "scipy", "trimesh", "h5py")
+SERVICE_PACKAGES = ("fastapi", "dbos")
+"""Those of the extra `service`, which may be absent."""
 
 LEAST_MEMORY, LEAST_DISK = 1 << 30, 1 << 30
 """What a job of 38 000 particles takes with its result, rounded up [bytes]."""
@@ -61,6 +66,22 @@ def examine(*, compute: bool = True) -> Iterator[Finding]:
     yield check_software()
     yield check_libraries()
     yield check_memory()
+    try:
+        yield from check_service()
+    except ExtraError as error:
+        yield Finding("service", "ok", f"It is not installed. {error.remedy}")
+    if compute:
+        yield check_morph()
+
+
+def check_service() -> Iterator[Finding]:
+    """What the service needs beside what a run does, by its MORPH_* variables.
+
+    Raises:
+        ExtraError: It is not installed.
+    """
+    from chamfer_morph.worker.settings import load_settings
+
     yield check_network()
     try:
         settings = load_settings()
@@ -76,13 +97,12 @@ def examine(*, compute: bool = True) -> Iterator[Finding]:
             yield check(settings)
         except MorphError as error:
             yield Finding(subject, "fault", error.cause, error.remedy)
-    if compute:
-        yield check_morph()
 
 
 def check_software() -> Finding:
     """Versions, as a report of a fault needs them."""
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in PACKAGES)
+    installed = (*PACKAGES, *filter(find_spec, SERVICE_PACKAGES))
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in installed)
     ours = f"chamfer-morph {metadata.version('chamfer-morph')}"
     return Finding("software", "ok", f"{ours}, Python {platform.python_version()}, {versions}")
 

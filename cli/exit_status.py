@@ -12,7 +12,6 @@ from importlib import metadata
 import typer
 
 from chamfer_morph.cli.output import error_document, in_flags, print_json
-from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import MorphError
 
 UNEXPECTED, BAD_INPUT = 1, 2
@@ -28,10 +27,9 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
     problem: MorphError
     try:
         return command() or 0
-    except ServiceError as error:
-        problem, status = error, error.exit_status
     except MorphError as error:
-        problem, status = error, BAD_INPUT
+        # `ServiceError` knows its own; the extra `client`, which has it, may be absent
+        problem, status = error, getattr(error, "exit_status", BAD_INPUT)
     except typer.TyperException as error:
         problem, status = _usage_error(error), BAD_INPUT
     except BrokenPipeError:

@@ -46,8 +46,8 @@ class SimulationError(MorphError):
     """A frame could not be completed even with the smallest step."""
 
 
-class ExtraError(MorphError):
-    """An optional package is not installed."""
+class ExtraError(MorphError, ImportError):
+    """A package that an extra of this one installs is absent."""
 
 
 def unknown_name(

@@ -2,3 +2,7 @@
 
 It uses the engine and nothing else of the project; `morph reproduce` runs it.
 """
+
+from morph_engine.optional_packages import require
+
+require("matplotlib", "httpx", extra="reproduce", purpose="The reproduction")

@@ -9,6 +9,7 @@ import typer
 
 from chamfer_morph.cli.options import JsonOption, MethodOption, QuietOption
 from chamfer_morph.cli.output import print_json, print_result
+from morph_engine.optional_packages import require
 
 if TYPE_CHECKING:
     from chamfer_morph.cli.mesh_fetch import FetchedMesh
@@ -67,6 +68,7 @@ def fetch(
 
     Repeated, it goes on where it broke off, and checks what is there.
     """
+    require("httpx", extra="reproduce", purpose="Fetching meshes")
     from chamfer_morph.cli.mesh_fetch import fetch_meshes
 
     fetched = fetch_meshes(to, meshes or None, place=place, checksums=checksums, quiet=quiet)

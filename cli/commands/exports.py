@@ -198,7 +198,7 @@ def render(
         typer.Option(
             "--out",
             "-o",
-            help="The video: .gif, or with pip install .\\[video] .mp4, .webm, .mov (ProRes); "
+            help="The video: .gif, or with the extra video .mp4, .webm, .mov (ProRes); "
             ".zip or a folder for PNG files.",
         ),
     ],

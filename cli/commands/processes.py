@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -32,6 +33,7 @@ def serve(
 
     Every other setting is a MORPH_* variable of the environment, see docs/settings.md.
     """
+    import_module("chamfer_morph.server")  # says so here if the extra `service` is absent
     options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA_DIR": data_dir}
     command = python_command("chamfer_morph.server", "serve")
     os.execve(command[0], command, _environment(options))

@@ -21,6 +21,7 @@ from morph_engine import kept_results
 from morph_engine.errors import MeshError, unknown_name
 from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
 from morph_engine.geometry.sampling import fit_to_domain
+from morph_engine.optional_packages import require
 
 trimesh: Any = lazy.load("trimesh")
 
@@ -40,6 +41,7 @@ def make(name: str) -> Mesh:
 
     Raises:
         MeshError: There is no such shape, or a text that cannot be drawn.
+        ExtraError: It is a text, and what draws it is not installed.
     """
     if name.startswith(TEXT_PREFIX):
         raw = _arrays(_text(name.removeprefix(TEXT_PREFIX)))
@@ -62,6 +64,7 @@ def resolve_shape(spec: str) -> Mesh:
 
     Raises:
         MeshError: It is neither, or the mesh is unusable.
+        ExtraError: It is a text, and what draws it is not installed.
     """
     is_file = Path(spec).is_file() or Path(spec).suffix[1:].lower() in FORMATS
     if spec.startswith(TEXT_PREFIX) or not is_file:
@@ -191,6 +194,7 @@ def _text(text: str) -> Mesh:
             f"A text shape has from 1 to {TEXT_LIMIT} characters, not only spaces.",
             "Write for instance text:Hello.",
         )
+    require("matplotlib", "shapely", "mapbox_earcut", extra="text", purpose="A text shape")
     from morph_engine.geometry.text import extruded_letters  # Matplotlib takes its time
 
     return _join(extruded_letters(text))

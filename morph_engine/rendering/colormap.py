@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-import matplotlib
+import cmap
 import numpy as np
 import numpy.typing as npt
 
 SEQUENTIAL = "viridis"
 DIVERGING = "coolwarm"
+HEIGHT = "turbo"
+_IN_CATALOG = {
+    SEQUENTIAL: "bids:viridis",
+    DIVERGING: "matplotlib:coolwarm",
+    HEIGHT: "google:turbo",
+}
+"""Their full names in the catalogue of cmap."""
+
 UNKNOWN = 0.6
 """Grey of a value that is not finite."""
 
@@ -31,12 +39,13 @@ def limits(values: npt.ArrayLike, *, diverging: bool = False) -> tuple[float, fl
 def colors(
     values: npt.ArrayLike, low: float, high: float, *, palette: str = SEQUENTIAL
 ) -> npt.NDArray[np.float64]:
-    """RGB of values, shape [n, 3], float64, 0 to 1, by a colour map of Matplotlib from low to high.
+    """RGB of values, shape [n, 3], float64, 0 to 1, by a colour map of cmap from low to high.
 
     Grey where a value is not finite.
     """
     array = np.asarray(values, np.float64)
+    chosen = cmap.Colormap(_IN_CATALOG.get(palette, palette))
     share = np.clip((array - low) / (high - low), 0, 1)
-    rgb = np.asarray(matplotlib.colormaps[palette](np.nan_to_num(share)))[:, :3]
+    rgb = np.asarray(chosen(np.nan_to_num(share)))[:, :3]
     rgb[~np.isfinite(array)] = UNKNOWN
     return rgb

@@ -150,13 +150,13 @@ def look(*, azimuth: float = AZIMUTH, elevation: float = ELEVATION, up: Up = "y"
     return rotation
 
 
-def height_colors(source: npt.ArrayLike, view: Floats, *, palette: str = "turbo") -> Floats:
+def height_colors(source: npt.ArrayLike, view: Floats, *, palette: str = colormap.HEIGHT) -> Floats:
     """A colour per particle by its height in the source, so that one sees where matter goes.
 
     Args:
         source: Positions [dx], shape [n, 3].
         view: Rotation from the domain to the eye, shape [3, 3].
-        palette: A colour map of Matplotlib.
+        palette: A colour map of cmap, which has those of Matplotlib.
 
     Returns:
         RGB, shape [n, 3], float64, 0 to 1.

@@ -19,11 +19,15 @@ import httpx
 import pytest
 import trimesh
 
+from tests.core_environment import make_core_environment, site_packages_of
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="paths and processes as of POSIX")
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"chamfer_morph", "morph_engine"}
 SMALL = ("--points-per-cell-edge", "1", "--frames", "2")
+MOST_DISTRIBUTIONS = 30
+"""That the core brings along."""
 
 FOREIGN_MODULES = ("server/__init__.py", "client.py", "worker.py", "cli/__init__.py")
 """Another package's, in the same environment."""
@@ -214,33 +218,63 @@ def _every_python() -> Iterator[object]:
 def installation(
     request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Installation:
-    """The wheel, installed for a version of Python; for the running one with its packages."""
+    """The wheel with all extras, installed for a version of Python.
+
+    For the running one it finds the packages that are here.
+    """
     folder = tmp_path_factory.mktemp("installation")
-    python = folder / "venv" / "bin" / "python"
     if request.param:
-        interpreter = _find_python(request.param.partition(" ")[0])
-        constraints = folder / "constraints.txt"
-        if request.param == OLDEST:
-            _write_oldest_allowed(constraints, interpreter)
-        else:
-            constraints.write_text(
-                re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
-            )
-        subprocess.run([interpreter, "-m", "venv", folder / "venv"], check=True)
-        install = [python, "-m", "pip", "install", "--quiet", "-c", constraints, wheel]
-        subprocess.run(install, check=True)
-    else:
-        subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
-        subprocess.run(
-            [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps",
-             "--no-index", wheel],
-            check=True,
-        )  # fmt: skip
-        (site_packages,) = (folder / "venv" / "lib").glob("python*/site-packages")
-        # packages alone: the .pth file of an editable install there is not read
-        shared = [path for path in sys.path if Path(path).name == "site-packages"]
-        (site_packages / "shared.pth").write_text("\n".join(shared))
+        return Installation(_install(f"{wheel}[all]", request.param, folder), folder)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
+    python = folder / "venv" / "bin" / "python"
+    _add_wheel(wheel, python)
+    # packages alone: the .pth file of an editable install there is not read
+    shared = [path for path in sys.path if Path(path).name == "site-packages"]
+    (site_packages_of(python) / "shared.pth").write_text("\n".join(shared))
     return Installation(python, folder)
+
+
+@pytest.fixture(scope="module", params=_every_python())
+def core(
+    request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Installation:
+    """The wheel without extras; for the running Python the packages that it requires are links."""
+    folder = tmp_path_factory.mktemp("core")
+    if request.param:
+        return Installation(_install(str(wheel), request.param, folder), folder)
+    python = make_core_environment(folder / "venv", with_project=False)
+    _add_wheel(wheel, python)
+    return Installation(python, folder)
+
+
+def test_the_core_is_small_and_computes(core):
+    """Few packages come along, and a morph needs no others."""
+    others = [path for path in site_packages_of(core.python).glob("*.dist-info")]
+    names = {path.name.partition("-")[0] for path in others} - {
+        "chamfer_morph",
+        "pip",
+        "setuptools",
+    }
+    assert 20 < len(names) <= MOST_DISTRIBUTIONS, sorted(names)
+    assert " submit " in core.morph("--help")
+    core.morph("run", "sphere", "torus", *SMALL, "--out", "a.vtkhdf", "--quiet")
+    core.morph("metrics", "a.vtkhdf")
+    core.morph("render", "a.vtkhdf", "--size", "64x48", "-o", "a.gif", "--quiet")
+
+
+@pytest.mark.parametrize(
+    ("command", "extra"),
+    [("submit sphere star", "client"), ("serve", "service"), ("run text:A star", "text"),
+     ("reproduce trial", "reproduce")],
+)  # fmt: skip
+def test_the_core_names_the_extra_that_a_command_lacks(core, command, extra):
+    """As the last thing it says, with the exit status of input that can be mended."""
+    outcome = subprocess.run(
+        core.command(*command.split()),
+        cwd=core.cwd, env=core.environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert outcome.returncode == 2, outcome.stderr
+    assert outcome.stderr.endswith(f"Install it with: pip install 'chamfer-morph[{extra}]'\n")
 
 
 def test_commands_on_files(installation):
@@ -328,11 +362,38 @@ def _pyright_environment(installation: Installation) -> dict[str, str]:
     return installation.environment | {"PATH": path, "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
 
 
+def _install(requirement: str, version: str, folder: Path) -> Path:
+    """Install for a version of Python, in an environment of its own; returns its Python."""
+    interpreter = _find_python(version.partition(" ")[0])
+    constraints = folder / "constraints.txt"
+    if version == OLDEST:
+        _write_oldest_allowed(constraints, interpreter)
+    else:
+        constraints.write_text(
+            re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
+        )
+    subprocess.run([interpreter, "-m", "venv", folder / "venv"], check=True)
+    python = folder / "venv" / "bin" / "python"
+    install = [python, "-m", "pip", "install", "--quiet", "-c", constraints, requirement]
+    subprocess.run(install, check=True)
+    return python
+
+
+def _add_wheel(wheel: Path, python: Path) -> None:
+    """Install a wheel, and nothing that it requires, in an environment without pip."""
+    subprocess.run(
+        [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps",
+         "--no-index", wheel],
+        check=True,
+    )  # fmt: skip
+
+
 def _write_oldest_allowed(constraints: Path, interpreter: Path) -> None:
     """The oldest version of each package that pyproject.toml allows."""
     subprocess.run(
         [Path(sys.executable).with_name("uv"), "pip", "compile", "--quiet", "--resolution",
-         "lowest-direct", "--python", interpreter, "--output-file", constraints, "pyproject.toml"],
+         "lowest-direct", "--extra", "all", "--python", interpreter,
+         "--output-file", constraints, "pyproject.toml"],
         cwd=ROOT, check=True,
     )  # fmt: skip
 

@@ -8,12 +8,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import av
+import matplotlib
 import numpy as np
 import pytest
 from PIL import Image
 
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
+from morph_engine.rendering import colormap
 from morph_engine.rendering.materials import MATERIALS
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
@@ -218,3 +220,11 @@ def test_a_video_is_there_as_a_whole_or_not_at_all(small_result, tmp_path, monke
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(ResultError, match="Cannot write"):
         video(small_result, tmp_path / "no" / "folder.gif", size=SMALL)
+
+
+@pytest.mark.parametrize("palette", ["viridis", "coolwarm", "turbo", "plasma"])
+def test_palettes_are_those_of_matplotlib(palette):
+    """Pictures and figures have the same colours; Matplotlib itself is not needed for pictures."""
+    values = np.linspace(0, 1, 1001)
+    expected = matplotlib.colormaps[palette](values)[:, :3]
+    np.testing.assert_allclose(colormap.colors(values, 0, 1, palette=palette), expected, atol=1e-12)
