@@ -43,6 +43,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "morph render result.vtkhdf -o morph.mp4 --surface",
         "morph render result.vtkhdf -o turn.gif --color speed --camera turn --size 640x480",
         "morph render result.vtkhdf -o metal.gif --surface --look metal",
+        "morph render result.vtkhdf -o end.png --surface --background transparent",
         "morph render result.vtkhdf -o loop.webm --seconds 3 --fps 30 --repeat loop",
     ),
     "submit": (

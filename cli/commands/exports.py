@@ -199,7 +199,7 @@ def render(
             "--out",
             "-o",
             help="The video: .gif, or with the extra video .mp4, .webm, .mov (ProRes); "
-            ".zip or a folder for PNG files.",
+            ".png for one frame, .zip or a folder for a PNG file of each.",
         ),
     ],
     *,
@@ -241,7 +241,7 @@ def render(
     selection: SelectionOptions,
     service: ServiceOptions,
 ) -> None:
-    """Make a video of a result."""
+    """Make a video of a result, or a picture of one of its frames."""
     from morph_engine.rendering.camera_path import CameraPath
     from morph_engine.rendering.pictures import video
 

@@ -22,6 +22,7 @@ from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import (
     TRANSPARENT_KINDS,
     VideoKind,
+    write_picture,
     write_pictures,
     write_video,
 )
@@ -289,7 +290,8 @@ def video(
 
     Args:
         result: A result file, or one that is open.
-        path: The file to write, and to return. A path without an ending is a folder of PNG files.
+        path: The file to write, and to return. A path without an ending is a folder of PNG files,
+            and one that ends in .png a picture of one frame, the last if none is named.
         field: Field to colour by, see `results.fields.FIELDS`. By default all has the colours of
             the shapes; where these have none, particles keep the colour of their height in the
             source, and a surface is plain.
@@ -320,12 +322,15 @@ def video(
     """
     path = Path(path)
     folder = not path.suffix and kind in (None, "png")
-    chosen = "png" if folder else kind or KINDS.get(path.suffix.lower())
+    still = path.suffix.lower() == ".png" and kind is None
+    if still:
+        frames = _one_frame(path, frames, timing)
+    chosen = "png" if folder or still else kind or KINDS.get(path.suffix.lower())
     if chosen is None:
         raise ConfigError(
             f"{path.name} says no kind of video.",
-            "Name a file that ends in .mp4 or .gif, .webm, .mov, or .zip for PNG files, or a "
-            "folder for these.",
+            "Name a file that ends in .mp4 or .gif, .webm, .mov, .png for one frame, or .zip for a "
+            "PNG file of each, or a folder for these.",
         )
     if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
         raise ConfigError(
@@ -377,11 +382,28 @@ def video(
         with writing(path):
             if folder:
                 write_pictures(path, pictures)
+            elif still:
+                with replacing(path) as temporary:
+                    write_picture(temporary, next(pictures))
             else:
                 with replacing(path) as temporary:
                     rate = timing.fps if timing else fps
                     write_video(temporary, pictures, kind=chosen, fps=rate)
     return path
+
+
+def _one_frame(path: Path, frames: Sequence[int] | None, timing: Timing | None) -> Sequence[int]:
+    """The frame of a single picture.
+
+    Raises:
+        ConfigError: More than one is asked for.
+    """
+    if timing or (frames is not None and len(frames) != 1):
+        raise ConfigError(
+            f"{path.name} holds one picture, and more are asked for.",
+            "Name one frame, or a file that ends in .zip for a PNG file of each.",
+        )
+    return (-1,) if frames is None else frames
 
 
 def _resting(

@@ -112,6 +112,19 @@ def write_pictures(folder: Path, pictures: Iterable[Picture]) -> None:
             temporary.write_bytes(data)
 
 
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write one picture as a PNG file.
+
+    Args:
+        path: The file, whatever its ending.
+        picture: As for `write_video`.
+
+    Raises:
+        OSError: The disk refuses.
+    """
+    Image.fromarray(picture).save(path, "PNG")
+
+
 def _write_by_av(path: Path, pictures: Iterable[Picture], fps: float, kind: VideoKind) -> None:
     av = load("av", extra="video", purpose={"mp4": "MP4", "webm": "WebM", "mov": "ProRes"}[kind])
     encoding = _ENCODINGS[kind]

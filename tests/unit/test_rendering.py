@@ -193,6 +193,19 @@ def test_gif_turns_the_surface(small_result, tmp_path):
     assert (pictures[0] != pictures[-1]).any()
 
 
+def test_a_picture_holds_one_frame(small_result, tmp_path):
+    """The last one unless another is named; more than one is refused."""
+    size = (64, 48)
+    last = video(small_result, tmp_path / "last.png", size=size)
+    named = video(small_result, tmp_path / "named.png", size=size, frames=[-1])
+    first = video(small_result, tmp_path / "first.png", size=size, frames=[0])
+    assert last.read_bytes() == named.read_bytes() != first.read_bytes()
+    with Image.open(last) as picture:
+        assert (picture.format, picture.size) == ("PNG", size)
+    with pytest.raises(ConfigError, match="one picture"):
+        video(small_result, tmp_path / "two.png", frames=[0, 1])
+
+
 def test_refusals_name_cause_and_remedy(small_result, tmp_path, monkeypatch):
     """Odd sizes, other endings and a missing package are told before anything is written."""
     with pytest.raises(ConfigError, match="even numbers"):
