@@ -182,13 +182,21 @@ def database(settings: Settings, *, autocommit: bool = False, kept: int = CONNEC
         kept: Connections to Postgres that stay open. Workers are many, wait for most of their time,
             and share those that Postgres allows.
     """
-    url = sa.make_url(settings.system_database_url)
+    url = sa.make_url(settings.database_pooler_url or settings.system_database_url)
     if settings.on_postgres:
         url = url.set(drivername="postgresql+psycopg")
+        # of a pooler, statements prepared on one connection may come to another
+        arguments = {"prepare_threshold": None} if settings.database_pooler_url else {}
         if autocommit:
-            return sa.create_engine(url, isolation_level="AUTOCOMMIT", pool_size=CONNECTIONS)
+            return sa.create_engine(
+                url,
+                isolation_level="AUTOCOMMIT",
+                pool_size=CONNECTIONS,
+                connect_args=arguments,
+            )
         return sa.create_engine(
             url,
+            connect_args=arguments,
             pool_pre_ping=kept > 1,  # a transaction more; the only one is in use all the time
             pool_size=kept,
             max_overflow=2 * CONNECTIONS - kept,

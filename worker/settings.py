@@ -38,6 +38,11 @@ class Settings(BaseSettings):
     database_url: str = Field(
         "", description="postgresql://... to spread over machines; SQLite in data_dir if empty."
     )
+    database_pooler_url: str = Field(
+        "",
+        description="postgresql://... of a pooler such as PgBouncer before it, which shares a few "
+        "connections out by transaction. Locks keep one each at `MORPH_DATABASE_URL`.",
+    )
     object_store: str = Field(
         "",
         description="s3://bucket/prefix for hosts that share no folder; files in data_dir if "
@@ -230,5 +235,10 @@ def load_settings() -> Settings:
         raise ConfigError(
             "MORPH_DATABASE_URL is no address of a Postgres database.",
             "Write postgresql://user:word@host:5432/name, or leave it out for SQLite.",
+        )
+    if settings.database_pooler_url and not settings.on_postgres:
+        raise ConfigError(
+            "MORPH_DATABASE_POOLER_URL is there, and no Postgres database behind it.",
+            "Name the database itself in MORPH_DATABASE_URL.",
         )
     return settings
