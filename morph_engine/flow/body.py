@@ -95,6 +95,7 @@ class BodyPath:
     ) -> None:
         self._step = grid.dx / REFINEMENT
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
+        self._pieces = max(_piece_count(distance) for distance in (source, target))
         self._grid = grid
         self._matter = matter
         self.carried: bool = warp is not None
@@ -121,7 +122,7 @@ class BodyPath:
         level = self._blended(share)
         level -= _quantile(level, round((1 - share) * self._inside[0] + share * self._inside[1]))
         if 0 < share < 1:
-            level = _without_pieces(self._without_threads(self._as_distance(level)))
+            level = self._without_pieces(self._without_threads(self._as_distance(level)))
         level = self._leading_back(level)
         whole = np.full((REFINEMENT * (self._grid.resolution - 1) + 1,) * 3, FAR, np.float32)
         whole[self._box] = level
@@ -138,6 +139,17 @@ class BodyPath:
         indicator, box = self._smoothed(level)
         kept = scipy.ndimage.binary_dilation(indicator > THREAD, iterations=REFINEMENT + 1)
         level[box] = np.where(kept, level[box], np.maximum(level[box], self._step))
+        return level
+
+    def _without_pieces(self, level: Field) -> Field:
+        """Give up separate pieces that hold but a few particles, or that neither end has."""
+        pieces, count = scipy.ndimage.label(level < 0)
+        if count > 1:
+            sizes = np.bincount(pieces.ravel())
+            sizes[0] = 0
+            least = max(LEAST_PIECE, np.sort(sizes)[-self._pieces])
+            given_up = (sizes < least) & (np.arange(len(sizes)) > 0)
+            level = np.where(given_up[pieces], np.maximum(level, -level), level)
         return level
 
     def _leading_back(self, level: Field) -> Field:
@@ -213,13 +225,10 @@ def refined(field: Field) -> Field:
     return finer.astype(np.float32)
 
 
-def _without_pieces(level: Field) -> Field:
-    """Give up separate pieces that hold but a few particles."""
-    pieces, count = scipy.ndimage.label(level < 0)
-    if count > 1:
-        small = np.bincount(pieces.ravel()) < LEAST_PIECE
-        level = np.where(small[pieces], np.maximum(level, -level), level)
-    return level
+def _piece_count(distance: Field) -> int:
+    """Separate pieces of a shape that hold more than a few particles."""
+    pieces, _ = scipy.ndimage.label(distance < 0)
+    return max(1, int(np.count_nonzero(np.bincount(pieces.ravel())[1:] >= LEAST_PIECE)))
 
 
 def _quantile(level: Field, count: int) -> np.float32:

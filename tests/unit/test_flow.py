@@ -284,6 +284,18 @@ def test_a_thick_end_is_not_left_by_the_thin_part_that_joins_it(growing: bool) -
     assert sum(bool(body[x > 3].any()) for body in bodies) > 10
 
 
+def test_what_is_cut_off_all_the_same_is_given_up() -> None:
+    """The end of the teapot's spout on its way to a heart; a piece that an end has stays."""
+    grid = Grid(0.5, 14.0)
+    axis = fine_axis(grid)
+    teapot, heart = (mesh_distance(make(name), axis, 1.0) for name in ("teapot", "heart"))
+    path = BodyPath(teapot, heart, grid, reach=4, matter=35_000, tension=1.0)
+    assert [scipy.ndimage.label(path.at(share).level < 0)[1] for share in (0.3, 0.4)] == [1, 1]
+    ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 2)
+    path = BodyPath(np.minimum(ball, other), ball, GRID, reach=4, matter=65, tension=1.0)
+    assert scipy.ndimage.label(path.at(0.2).level < 0)[1] == 2
+
+
 def test_a_refined_field_is_trilinear_between_its_points() -> None:
     """To the last bit what SciPy interpolates, in half the time."""
     field = np.random.default_rng(0).random((4, 7, 5), np.float32)
