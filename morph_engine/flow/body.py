@@ -95,7 +95,7 @@ class BodyPath:
     ) -> None:
         self._step = grid.dx / REFINEMENT
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
-        self._pieces = max(_piece_count(distance) for distance in (source, target))
+        self._most_pieces = max(_piece_count(distance) for distance in (source, target))
         self._grid = grid
         self._matter = matter
         self.carried: bool = warp is not None
@@ -145,11 +145,12 @@ class BodyPath:
         """Give up separate pieces that hold but a few particles, or that neither end has."""
         pieces, count = scipy.ndimage.label(level < 0)
         if count > 1:
-            sizes = np.bincount(pieces.ravel())
-            sizes[0] = 0
-            least = max(LEAST_PIECE, np.sort(sizes)[-self._pieces])
-            given_up = (sizes < least) & (np.arange(len(sizes)) > 0)
-            level = np.where(given_up[pieces], np.maximum(level, -level), level)
+            sizes = np.bincount(pieces.ravel())[1:]
+            largest = np.argsort(-sizes, kind="stable")[: self._most_pieces]
+            kept = np.zeros(count + 1, bool)  # by label
+            kept[1 + largest] = sizes[largest] >= LEAST_PIECE
+            given_up = (pieces > 0) & ~kept[pieces]
+            level = np.where(given_up, np.maximum(level, -level), level)
         return level
 
     def _leading_back(self, level: Field) -> Field:

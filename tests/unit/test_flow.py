@@ -296,6 +296,20 @@ def test_what_is_cut_off_all_the_same_is_given_up() -> None:
     assert scipy.ndimage.label(path.at(0.2).level < 0)[1] == 2
 
 
+def test_many_pieces_become_one() -> None:
+    """As letters do: there are ever fewer, and no more than the ends have, both ways."""
+    grid = Grid(1.0, 12.0)
+    x, y, z = np.meshgrid(*[fine_axis(grid)] * 3, indexing="ij")
+    radii = [np.sqrt((x - place) ** 2 + y**2 + z**2) for place in (-8, -4, 0, 4, 8)]
+    five, ball = np.min(radii, axis=0) - 1.8, radii[2] - 4
+    for ends in ((five, ball), (ball, five)):
+        path = BodyPath(*(e.astype(np.float32) for e in ends), grid, reach=4, matter=130)
+        levels = [path.at(share).level for share in np.linspace(0, 1, 11)]
+        counts = [scipy.ndimage.label(level < 0)[1] for level in levels]
+        assert {counts[0], counts[-1]} == {1, 5}
+        assert set(counts) <= {1, 2, 3, 4, 5}
+
+
 def test_a_refined_field_is_trilinear_between_its_points() -> None:
     """To the last bit what SciPy interpolates, in half the time."""
     field = np.random.default_rng(0).random((4, 7, 5), np.float32)
