@@ -25,7 +25,8 @@ from morph_engine.geometry.upward import Up, guess_up
 
 trimesh: Any = lazy.load("trimesh")
 
-FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf", "zip")
+PLAIN_FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
+FORMATS = (*PLAIN_FORMATS, "zip")
 FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9
@@ -232,8 +233,7 @@ def _content(data: bytes, name: str, kind: str) -> tuple[bytes, str, Companions 
     """A mesh file itself, or the one in an archive: content, format, and the files it may name."""
     if kind != "zip":
         return data, kind, None
-    kinds = [each for each in FORMATS if each != "zip"]
-    path, members = read_archive(data, name, kinds, FILE_BYTES_LIMIT)
+    path, members = read_archive(data, name, PLAIN_FORMATS, FILE_BYTES_LIMIT)
     kind = Path(path).suffix[1:].lower()
     content = self_contained_gltf(path, members) if kind == "gltf" else members[path]
     return content, kind, Companions(members, path)

@@ -158,6 +158,15 @@ def test_archives_that_are_no_archives(tmp_path):
     assert "not a readable ZIP" in refusal(tmp_path / "damaged.zip")
 
 
+def test_an_encrypted_archive_is_told(tmp_path):
+    """By the flag that both headers of a file have."""
+    data = bytearray(archive(tmp_path / "plain.zip", {"box.obj": box_obj()}).read_bytes())
+    for signature, offset in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        data[data.index(signature) + offset] |= 1
+    (tmp_path / "secret.zip").write_bytes(data)
+    assert "is encrypted" in refusal(tmp_path / "secret.zip")
+
+
 def test_an_archive_unfolds_to_no_more_than_a_file_may_have(tmp_path, monkeypatch):
     """Whatever sizes it states; and the number of its files is bounded."""
     monkeypatch.setattr(mesh_module, "FILE_BYTES_LIMIT", 2**20)
