@@ -13,6 +13,9 @@ from packaging.utils import canonicalize_name
 
 NAME = "chamfer-morph"
 
+MOST_DISTRIBUTIONS = 30
+"""That the core brings along."""
+
 
 def core_distributions() -> set[str]:
     """Names of the distributions that `pip install chamfer-morph` installs beside it."""

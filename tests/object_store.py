@@ -48,6 +48,7 @@ class Link:
 
     Attributes:
         port: Of 127.0.0.1, where it begins.
+        refused: Requests that got the status 500.
         delay: What comes back is held up so long, each piece of it [s].
     """
 
@@ -56,6 +57,7 @@ class Link:
         self._whole = threading.Event()
         self._whole.set()
         self._failing = False
+        self.refused = 0
         self.delay = 0.0
         self._sockets: set[socket.socket] = set()
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -120,6 +122,7 @@ class Link:
                     length = int(value)
             request.read(length)
             near.sendall(SERVER_ERROR)
+            self.refused += 1
 
     def _copy(self, source: socket.socket, sink: socket.socket, *, back: bool = False) -> None:
         with suppress(OSError):

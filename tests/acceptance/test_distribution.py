@@ -19,15 +19,13 @@ import httpx
 import pytest
 import trimesh
 
-from tests.core_environment import make_core_environment, site_packages_of
+from tests.core_environment import MOST_DISTRIBUTIONS, make_core_environment, site_packages_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="paths and processes as of POSIX")
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"chamfer_morph", "morph_engine"}
 SMALL = ("--points-per-cell-edge", "1", "--frames", "2")
-MOST_DISTRIBUTIONS = 30
-"""That the core brings along."""
 
 FOREIGN_MODULES = ("server/__init__.py", "client.py", "worker.py", "cli/__init__.py")
 """Another package's, in the same environment."""

@@ -105,33 +105,25 @@ def test_a_fork(new_host: Callable[..., Cluster]) -> None:
             assert [row["frame"] for row in client.metrics(fork.id)] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("seconds", [5.0, 60.0])
-def test_link_that_is_cut(
-    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray, seconds: float
+@pytest.mark.parametrize(
+    ("trouble", "seconds"), [(Link.cut, 5.0), (Link.cut, 60.0), (Link.fail, 20.0)]
+)
+def test_link_that_is_cut_or_a_store_that_fails(
+    new_host: Callable[..., Cluster],
+    link: Link,
+    undisturbed: np.ndarray,
+    trouble: Callable[[Link], None],
+    seconds: float,
 ) -> None:
-    """The engine goes on while the store is away; all is there once it is back."""
+    """The engine goes on while the store is away, or answers with errors; all is there after it."""
     reader, host = new_host(), new_host(link)
     host.worker(0)
     job = reader.submit()
     reader.wait_for_frame(job, 3)
-    link.cut()
+    trouble(link)
     time.sleep(seconds)
     assert reader.job(job).state is JobState.RUNNING
-    link.mend()
-    reader.require_sound(job, undisturbed, kills=0)
-
-
-def test_store_that_answers_with_errors(
-    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
-) -> None:
-    """Errors of the store are waited for, like its silence."""
-    reader, host = new_host(), new_host(link)
-    host.worker(0)
-    job = reader.submit()
-    reader.wait_for_frame(job, 3)
-    link.fail()
-    time.sleep(20)
-    assert reader.job(job).state is JobState.RUNNING
+    assert bool(link.refused) == (trouble is Link.fail)
     link.mend()
     reader.require_sound(job, undisturbed, kills=0)
 

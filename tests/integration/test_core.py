@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from chamfer_morph.cli.app import COMMANDS
-from tests.core_environment import core_distributions, make_core_environment
+from tests.core_environment import (
+    MOST_DISTRIBUTIONS,
+    core_distributions,
+    make_core_environment,
+)
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and paths as of POSIX")
 
-MOST_DISTRIBUTIONS = 30
 SMALL = ("--points-per-cell-edge", "1", "--frames", "1", "--quiet")
 
 OF_EXTRAS = {

@@ -110,6 +110,7 @@ export class Chooser {
 
   /** Take a choice, which is complete. */
   settle(shape) {
+    this.taking = null;
     this.failed = false;
     this.uploading?.abort();
     this.uploading = null;
@@ -126,16 +127,20 @@ export class Chooser {
    */
   async takeAll(found) {
     if (found.length === 1) return this.take(found[0].file);
+    this.uploading?.abort();
     this.choose("file");
+    fill(this.trouble);
     this.clear();
-    const taking = (this.taking = {});
+    const taking = (this.taking = {}); // until anything else is chosen
     const file = await packed(await found);
-    if (taking === this.taking) return this.take(file);
+    if (taking !== this.taking) return;
+    if (file) return this.take(file);
+    this.failed = true;
+    fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, "There is no file in this folder."));
   }
 
   /** Take the file of a mesh. */
   async take(file) {
-    this.taking = null;
     this.choose("file");
     fill(this.trouble);
     this.failed = false;
@@ -193,6 +198,7 @@ export class Chooser {
   }
 
   choose(kind) {
+    this.taking = null;
     for (const [name, panel] of Object.entries(this.panels)) panel.hidden = name !== kind;
     this.kinds[kind].input.checked = true;
   }

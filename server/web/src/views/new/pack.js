@@ -6,13 +6,13 @@ import { zipSync } from "fflate";
 const MESHES = [["gltf"], ["glb", "obj", "ply", "stl", "off", "zip"]];
 
 /**
- * The file to send: the only one, or a ZIP of all, named after the mesh among them.
+ * The file to send: the only one, or a ZIP of all, named after the mesh among them; none of none.
  *
  * @param {Array<{path: string, file: File}>} found
- * @returns {Promise<File>}
+ * @returns {Promise<File | undefined>}
  */
 export async function packed(found) {
-  if (found.length === 1) return found[0].file;
+  if (found.length < 2) return found[0]?.file;
   const kind = ({ path }) => path.split(".").at(-1).toLowerCase();
   const mesh = MESHES.flatMap((kinds) => found.filter((one) => kinds.includes(kind(one))))[0] ?? found[0];
   const contents = await Promise.all(found.map(({ file }) => file.arrayBuffer()));
