@@ -30,6 +30,9 @@ THREAD = 0.3
 LEAST_PIECE = 100
 """Lattice points of the smallest separate piece of the body that is kept: some 40 particles."""
 
+LARGE_PIECE = 0.1
+"""Share of the body from which a separate piece is kept though neither end has it."""
+
 NEAR = 2.0
 """Where the surface of the body is looked for first: levels of this size [dx]."""
 
@@ -142,13 +145,13 @@ class BodyPath:
         return level
 
     def _without_pieces(self, level: Field) -> Field:
-        """Give up separate pieces that hold but a few particles, or that neither end has."""
+        """Give up separate pieces that hold but a few particles, and small ones no end has."""
         pieces, count = scipy.ndimage.label(level < 0)
         if count > 1:
             sizes = np.bincount(pieces.ravel())[1:]
-            largest = np.argsort(-sizes, kind="stable")[: self._most_pieces]
-            kept = np.zeros(count + 1, bool)  # by label
-            kept[1 + largest] = sizes[largest] >= LEAST_PIECE
+            kept = sizes >= LARGE_PIECE * sizes.sum()
+            kept[np.argsort(-sizes, kind="stable")[: self._most_pieces]] = True
+            kept = np.append(False, kept & (sizes >= LEAST_PIECE))  # by label
             given_up = (pieces > 0) & ~kept[pieces]
             level = np.where(given_up, np.maximum(level, -level), level)
         return level

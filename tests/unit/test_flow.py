@@ -95,7 +95,7 @@ def test_a_body_has_its_share_of_both_volumes_and_all_the_matter(share: float) -
 
 
 def test_a_body_has_its_volume_between_ends_that_lie_far_apart() -> None:
-    """Between two balls that do not touch there is one, however far they are."""
+    """Between two balls that do not touch there are two of half the size, and both are kept."""
     ends = (ball_distance((-5, 0, 0), 2), ball_distance((5, 0, 0), 2))
     body = BodyPath(*ends, GRID, reach=4, matter=30).at(0.5)
     assert np.count_nonzero(body.level < 0) / 8 == pytest.approx(4 / 3 * np.pi * 8, rel=0.1)
