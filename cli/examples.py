@@ -35,6 +35,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "export": (
         "morph export result.vtkhdf -o morph.glb --tracked",
+        "morph export result.vtkhdf -o morph.glb --tracked --texture 1024",
         "morph export result.vtkhdf -o frames.ply --fields speed,density",
         "morph export result.vtkhdf -o morph.usdc --surface --snap",
     ),

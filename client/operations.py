@@ -456,6 +456,7 @@ class Operations:
         surface: bool = False,
         snap: bool = False,
         tracked: bool = False,
+        texture: int | None = None,
         fps: float | None = None,
         seconds: float | None = None,
         hold: float | None = None,
@@ -475,6 +476,7 @@ class Operations:
             surface: A surface around the particles in their place.
             snap: Draw the surface of the first and last frames to the meshes of both shapes.
             tracked: One mesh through all frames, animated in one file.
+            texture: Edge of the picture that holds the colours of a tracked GLB [pixels].
             fps: Frames per second of an animation: 24 by default, 12 in videos, 30 of a given time.
             seconds: Duration of what is played, with its rests [s].
             hold: Rest at each shape [s].
@@ -493,6 +495,7 @@ class Operations:
             surface=surface,
             snap=snap,
             tracked=tracked,
+            texture=texture,
             fps=fps,
             seconds=seconds,
             hold=hold,

@@ -34,7 +34,7 @@ class ExportFormat(BaseModel):
     kind: Literal["frame", "sequence", "table"] = Field(
         description="One frame a file, all in one, or numbers without geometry."
     )
-    carries: list[Literal["points", "surface", "fields", "tracked"]]
+    carries: list[Literal["points", "surface", "fields", "tracked", "texture"]]
     timed: bool = Field(
         False,
         description="Whether it may be played in a time of its own; of kind `frame` only as a "

@@ -31,6 +31,14 @@ class ExportRequest(Request):
         description="One mesh through all frames, whose triangles stay the same, animated in one "
         "file; for formats that carry `tracked`.",
     )
+    texture: int | None = Field(
+        None,
+        ge=64,
+        le=4096,
+        description="Edge of the picture that holds the colours of a tracked GLB [pixels]; they "
+        "are at its corners by default.",
+        exclude_if=_is_none,
+    )
     fps: float | None = Field(
         None, ge=1, le=120, description="Frames per second: 24, or 12 in videos, by default."
     )

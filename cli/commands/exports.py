@@ -108,6 +108,14 @@ def export(
         bool,
         typer.Option("--tracked", help="One mesh through all frames: .glb, .usdc, .html, or pc2."),
     ] = False,
+    texture: Annotated[
+        int | None,
+        typer.Option(
+            min=64,
+            max=4096,
+            help="With --tracked, in a .glb: colours as a texture of so many pixels.",
+        ),
+    ] = None,
     fps: Annotated[
         float | None,
         typer.Option(
@@ -134,6 +142,7 @@ def export(
         "surface": selection.surface,
         "snap": selection.snap,
         "tracked": tracked,
+        "texture": texture,
         "timing": playback.timing(fps),
         "fields": parse_list(fields),
     }

@@ -24,6 +24,9 @@ __all__ = [
     "FORMATS", "Content", "Format", "Selection", "Units", "check", "export", "find", "suffix",
 ]  # fmt: skip
 
+LEAST_TEXTURE, LARGEST_TEXTURE = 64, 4096
+"""Edge of a texture [pixels]."""
+
 _ALL = (
     ply.FORMAT,
     obj.FORMAT,
@@ -49,6 +52,7 @@ class Content(TypedDict):
     surface: bool
     snap: bool
     tracked: bool
+    texture: int | None
     timing: Timing | None
     fields: Sequence[str]
 
@@ -86,6 +90,7 @@ def export(
     surface: bool = False,
     snap: bool = False,
     tracked: bool = False,
+    texture: int | None = None,
     fps: float | None = None,
     timing: Timing | None = None,
     units: Units = "user",
@@ -109,6 +114,8 @@ def export(
             where it is near to them.
         tracked: One mesh for all frames, whose triangles stay the same and whose vertices
             correspond, see `results.tracked_surface`. It is the surface.
+        texture: Edge of the picture that holds the colours of a tracked surface [pixels], 64 to
+            4096; None for colours at its corners.
         fps: Frames per second of an animation, 24 by default and 12 in videos.
         timing: Duration, rests, pace and repetition of a video, of a tracked surface or of a page,
             of all frames; it has frames per second of its own.
@@ -133,6 +140,7 @@ def export(
         surface=surface,
         snap=snap,
         tracked=tracked,
+        texture=texture,
         fields=fields,
         frames=frames,
         timing=timing,
@@ -150,6 +158,7 @@ def export(
             surface=surface or tracked,
             snap=snap,
             tracked=tracked,
+            texture=texture,
             fps=fps,
             timing=timing,
             units=units,
@@ -186,6 +195,7 @@ def check(
     surface: bool = False,
     snap: bool = False,
     tracked: bool = False,
+    texture: int | None = None,
     fields: Sequence[str] = (),
     frames: Sequence[int] | None = None,
     timing: Timing | None = None,
@@ -204,6 +214,8 @@ def check(
         raise ConfigError(
             "A tracked surface carries no fields.", "Leave out the fields, or tracked."
         )
+    if texture is not None:
+        _check_texture(format, texture, tracked=tracked)
     if timing and frames is not None:
         raise ConfigError(
             "What is played for a given time shows the whole run, not chosen frames.",
@@ -234,6 +246,19 @@ def check(
     raise ConfigError(
         f"{chosen.name} holds no {lacking}.", f"Formats that do are {', '.join(able)}."
     )
+
+
+def _check_texture(format: str, size: int, *, tracked: bool) -> None:
+    if not LEAST_TEXTURE <= size <= LARGEST_TEXTURE:
+        raise ConfigError(
+            f"A texture of {size} pixels an edge is out of range.",
+            f"Ask for {LEAST_TEXTURE} to {LARGEST_TEXTURE}.",
+        )
+    if "texture" not in find(format).carries or not tracked:
+        raise ConfigError(
+            "A texture belongs to a tracked surface in a GLB.",
+            "Ask for a tracked surface and the format glb, or leave out the texture.",
+        )
 
 
 def _indices(

@@ -22,8 +22,9 @@ class Format:
         media_type: For HTTP.
         kind: ``frame`` for one frame in a file, ``sequence`` for many, ``table`` for numbers
             without geometry.
-        carries: What its files can hold: ``points``, ``surface``, ``fields``, and ``tracked``, a
-            surface of the same triangles in all frames of one file.
+        carries: What its files can hold: ``points``, ``surface``, ``fields``, ``tracked``, a
+            surface of the same triangles in all frames of one file, and ``texture``, its colours
+            as pictures.
         timed: Whether it is played, and may have a time of its own.
         extra: The extra of this package that it needs, if any.
         description: What it is, and which programs open it.

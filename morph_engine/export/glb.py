@@ -72,7 +72,7 @@ FORMAT = Format(
     suffix=".glb",
     media_type="model/gltf-binary",
     kind="frame",
-    carries=frozenset({"points", "surface", "fields", "tracked"}),
+    carries=frozenset({"points", "surface", "fields", "tracked", "texture"}),
     timed=True,
     description="Points, a surface or a moving mesh, coloured by the first field, or as the "
     "shapes are; browsers, Blender, game engines",

@@ -5,6 +5,7 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from importlib import metadata
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from morph_engine.srgb import CLAY, linear
 
@@ -25,7 +27,10 @@ ELEMENT_ARRAY_BUFFER = 34963
 
 COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125,
               "float32": 5126}  # fmt: skip
-SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
+"""How a texture is enlarged, and reduced."""
 
 WHITE = (1.0, 1.0, 1.0)
 """Under colours of vertices, which are multiplied by it."""
@@ -99,32 +104,65 @@ class GltfFile:
             table = padded
             view["byteStride"] = table.shape[1] * size
         data = np.ascontiguousarray(table, table.dtype.newbyteorder("<")).tobytes()
-        view |= {"byteOffset": self._length, "byteLength": len(data)}
-        self._chunks.append(data + bytes(-len(data) % 4))
-        self._length += len(self._chunks[-1])
-        accessor["bufferView"] = self.append("bufferViews", view)
+        accessor["bufferView"] = self._bytes(data, view)
         return self.append("accessors", accessor)
 
-    def material(self, name: str, rgb: tuple[float, float, float] = CLAY) -> int:
-        """Add a rough, opaque material of an sRGB colour, 0 to 1; its index."""
+    def zeros(self, like: int) -> int:
+        """Add as many zeros as another accessor has values, which take no place; its index."""
+        accessor = {k: v for k, v in self.json["accessors"][like].items() if k != "bufferView"}
+        for bound in {"min", "max"} & accessor.keys():
+            accessor[bound] = [0] * len(accessor[bound])
+        return self.append("accessors", accessor)
+
+    def picture(self, pixels: npt.NDArray[np.uint8]) -> int:
+        """Add a picture, shape [height, width, 3], sRGB, as a PNG and a texture; its index."""
+        png = io.BytesIO()
+        Image.fromarray(pixels).save(png, "png")
+        view = self._bytes(png.getvalue(), {"buffer": 0})
+        image = self.append("images", {"bufferView": view, "mimeType": "image/png"})
+        self.json["samplers"] = [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR}]
+        return self.append("textures", {"source": image, "sampler": 0})
+
+    def material(
+        self,
+        name: str,
+        rgb: tuple[float, float, float] = CLAY,
+        *,
+        texture: int | None = None,
+        transparent: bool = False,
+    ) -> int:
+        """Add a rough material; its index.
+
+        Args:
+            name: Its name.
+            rgb: Its sRGB colour, 0 to 1; a texture is multiplied by it.
+            texture: Index of a texture.
+            transparent: Whether it covers as much as the alpha of its vertices says.
+        """
         color = [*linear(np.array(rgb)).round(6).tolist(), 1.0]
-        return self.append(
-            "materials",
-            {
-                "name": name,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": color,
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": ROUGHNESS,
-                },
-            },
-        )
+        surface: Json = {
+            "baseColorFactor": color,
+            "metallicFactor": 0.0,
+            "roughnessFactor": ROUGHNESS,
+        }
+        if texture is not None:
+            surface["baseColorTexture"] = {"index": texture}
+        added: Json = {"name": name, "pbrMetallicRoughness": surface}
+        if transparent:
+            added["alphaMode"] = "BLEND"
+        return self.append("materials", added)
 
     def node(self, value: Json) -> int:
         """Add a node to the scene; its index."""
         index = self.append("nodes", value)
         self.json["scenes"][0]["nodes"].append(index)
         return index
+
+    def _bytes(self, data: bytes, view: Json) -> int:
+        view |= {"byteOffset": self._length, "byteLength": len(data)}
+        self._chunks.append(data + bytes(-len(data) % 4))
+        self._length += len(self._chunks[-1])
+        return self.append("bufferViews", view)
 
     def to_bytes(self) -> bytes:
         """The file."""

@@ -47,6 +47,11 @@ class Canvas:
         """Which pixels show something, shape [height, width]."""
         return np.isfinite(self._depth).reshape(self._height, self._width)
 
+    @property
+    def colors(self) -> Floats:
+        """What was drawn as colours, without light, shape [height, width, 3], float32."""
+        return self._color.reshape(self._height, self._width, 3)
+
     def spheres(self, centres: Floats, radius: float, colors: Floats) -> None:
         """Draw spheres of one size.
 

@@ -78,12 +78,32 @@ class Passage:
         Returns:
             sRGB, shape [v, 3], uint8.
         """
+        return self.colors_between(*self.carried_to_ends(vertices, spacing))
+
+    def carried_to_ends(
+        self, vertices: NDArray[np.float64], spacing: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where corners of a surface are in both shapes [dx]; arguments as for `colors_at`."""
         begin, here, end = (
             np.asarray(points, np.float64) for points in (self.begin, self.positions, self.end)
         )
+        return carried(vertices, here, begin, spacing), carried(vertices, here, end, spacing)
+
+    def colors_between(
+        self, begin: NDArray[np.float64], end: NDArray[np.float64]
+    ) -> NDArray[np.uint8]:
+        """Colours at points of which the places in both shapes are known.
+
+        Args:
+            begin: In the shape before [dx], shape [v, 3].
+            end: In the shape to come, likewise.
+
+        Returns:
+            sRGB, shape [v, 3], uint8.
+        """
         one, other = (
-            colors_in_shape(self.run, self.leg + step, carried(vertices, here, there, spacing))
-            for step, there in enumerate((begin, end))
+            colors_in_shape(self.run, self.leg + step, places)
+            for step, places in enumerate((begin, end))
         )
         return srgb.to_bytes(blended(one, other, self.share))
 

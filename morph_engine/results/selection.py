@@ -21,6 +21,7 @@ from morph_engine.results.playback import Playback, stops
 from morph_engine.results.run_record import Role, Units
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory
+from morph_engine.smoothstep import smoothstep
 
 Positions = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
@@ -83,6 +84,8 @@ class Selection:
         surface: Whether a surface takes the place of the particles.
         snap: Whether the surface is drawn to the user's own meshes, near source and target.
         tracked: Whether the surface has the same triangles in all frames, see `tracked_surface`.
+        texture: Edge of the picture that holds the colours of a tracked surface [pixels]; None for
+            colours at its corners.
         fps: Frames per second of an animation; None for what the format usually has.
         timing: How long it is played, and how; None for a time for each frame.
         units: Coordinates: ``user``, ``source``, ``target`` or ``grid``, see `Units`.
@@ -96,6 +99,7 @@ class Selection:
     surface: bool = False
     snap: bool = False
     tracked: bool = False
+    texture: int | None = None
     fps: float | None = None
     timing: Timing | None = None
     units: Units = "user"
@@ -227,16 +231,24 @@ class Selection:
             frame: Index of the frame.
             spacing: Lattice spacing h of the particles there [dx].
         """
+        passage = self.passage(frame)
+        return passage.colors_at(vertices, spacing) if passage else None
+
+    def passage(self, frame: int) -> Passage | None:
+        """What gives colours to a surface in a frame; None where no shape has any."""
         trajectory = self.trajectory
         if trajectory.colors is None:
             return None
-        passage = self._passage(trajectory.positions(frame), *self._progress(frame), None)
-        return passage.colors_at(vertices, spacing)
+        return self._passage(trajectory.positions(frame), *self._progress(frame), None)
 
     def particle_colors(self, frame: int) -> npt.NDArray[np.uint8] | None:
         """Colours of the particles in a frame, sRGB, shape [n, 3], uint8; None without any."""
         leg, share = self._progress(frame)
         return self._particle_colors(leg, share, None)
+
+    def color_share(self, frame: int) -> float:
+        """Share of the colours of the shape to come in those of a frame, 0 to 1."""
+        return smoothstep(self._progress(frame)[1])
 
     def _progress(self, frame: int) -> tuple[int, float]:
         """The leg of a frame, and the share of it that is done then."""

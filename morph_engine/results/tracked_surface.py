@@ -19,6 +19,7 @@ from morph_engine.errors import ConfigError
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_tracking import SurfaceTracker, carried, mean_distance
 from morph_engine.geometry.topology import vertex_normals
+from morph_engine.results.baked_texture import BakedTextures, baked, check_texture
 from morph_engine.results.selection import Selection
 
 Floats = npt.NDArray[np.float64]
@@ -44,7 +45,9 @@ class TrackedMesh:
         vertices: Corner positions by frame [units of the selection], shape [T, V, 3], float64.
         normals: Unit normals by frame, shape [T, V, 3], float64.
         faces: Vertex indices of the triangles in all frames, shape [F, 3], int32.
-        colors: Colours by frame, sRGB, shape [T, V, 3], uint8; None where the shapes have none.
+        colors: Colours by frame, sRGB, shape [T, V, 3], uint8; None where the shapes have none, or
+            textures have them.
+        textures: Pictures of the colours, if they are asked for.
     """
 
     frames: tuple[int, ...]
@@ -52,6 +55,7 @@ class TrackedMesh:
     normals: Floats
     faces: npt.NDArray[np.int32]
     colors: npt.NDArray[np.uint8] | None = None
+    textures: BakedTextures | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,8 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
         vertex_limit: Most vertices of a mesh; triangles are larger where there would be more.
 
     Raises:
-        ConfigError: The selection has fewer than two frames.
+        ConfigError: The selection has fewer than two frames, or there can be no texture.
+        ExtraError: A texture needs a package that is not installed.
         ResultError: A frame is damaged.
         MeshError: The particles of a frame enclose nothing.
     """
@@ -94,6 +99,8 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
             "One frame has no motion to follow.",
             "Ask for two frames or more, or leave out tracked.",
         )
+    if selection.texture:
+        check_texture(selection)
     first, last = wanted[0], wanted[-1]
     count = last - first + 1
     watch = _watch_in_frames(selection, 3 * count)
@@ -200,19 +207,22 @@ def _placed(
     selection: Selection, track: _Track, chosen: Sequence[int], first: int, spacings: list[float]
 ) -> TrackedMesh:
     """Some frames of a track in the units of the selection, drawn to the meshes if asked."""
-    shapes, colors = [], []
-    for k in chosen:
+    frames = tuple(first + k for k in chosen)
+    apart = [spacings[k] for k in chosen]
+    shapes = []
+    for k, frame, spacing in zip(chosen, frames, apart, strict=True):
         shape = Surface(track.vertices[k], track.faces)
         if selection.snap:
-            shape = selection.drawn_to_ends(shape, first + k, spacings[k])
-        shapes.append(selection.placed(shape.vertices, first + k))
-        colors.append(selection.surface_colors(shape.vertices, first + k, spacings[k]))
-    vertices = np.stack(shapes)
+            shape = selection.drawn_to_ends(shape, frame, spacing)
+        shapes.append(shape.vertices)
+    pairs = list(zip(shapes, frames, strict=True))
+    vertices = np.stack([selection.placed(shape, frame) for shape, frame in pairs])
     normals = np.stack([vertex_normals(frame, track.faces) for frame in vertices])
-    return TrackedMesh(
-        tuple(first + k for k in chosen),
-        vertices,
-        normals,
-        track.faces,
-        np.stack([c for c in colors if c is not None]) if colors[0] is not None else None,
-    )
+    if selection.texture:
+        textures = baked(selection, shapes, track.faces, frames, apart)
+        return TrackedMesh(frames, vertices, normals, track.faces, textures=textures)
+    colors = [
+        selection.surface_colors(*pair, spacing) for pair, spacing in zip(pairs, apart, strict=True)
+    ]
+    known = [of_frame for of_frame in colors if of_frame is not None]
+    return TrackedMesh(frames, vertices, normals, track.faces, np.stack(known) if known else None)

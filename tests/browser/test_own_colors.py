@@ -106,12 +106,12 @@ def test_a_shape_without_colours_asks_for_none(page, service):
             shown.append(picture(page))
 
 
-@pytest.fixture(scope="module")
-def moving(service, colored, tmp_path_factory) -> Path:
-    """The same job as one mesh that moves, in a GLB file."""
+@pytest.fixture(scope="module", params=[None, 256], ids=["corners", "textures"])
+def moving(request, service, colored, tmp_path_factory) -> Path:
+    """The same job as one mesh that moves, in a GLB file, with colours of either kind."""
     path = tmp_path_factory.mktemp("moving") / "moving.glb"
     result = service.data_dir / "jobs" / colored / "result.vtkhdf"
-    return export(result, path, "glb", tracked=True, fps=FPS)
+    return export(result, path, "glb", tracked=True, texture=request.param, fps=FPS)
 
 
 def test_three_shows_the_colours_of_a_moving_mesh(moving, browser):

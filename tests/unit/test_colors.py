@@ -5,7 +5,9 @@ The tolerance at the ends is 2 in CIE 1976 colour difference; where it says "exa
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import trimesh
 from PIL import Image
 
 from morph_engine import srgb
+from morph_engine.errors import ConfigError, ExtraError
 from morph_engine.export import export
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.mesh_colors import nearest_colors
@@ -179,33 +182,141 @@ def test_ply_and_glb_and_obj_have_the_colours(result, run, egg, tmp_path):
     assert np.array_equal(points.colors[:, :3], run.colors[-1])
 
 
+class Glb:
+    """A GLB file: its header, and its numbers as they are meant."""
+
+    def __init__(self, path):
+        data = path.read_bytes()
+        length = int.from_bytes(data[12:16], "little")
+        self.header, self.binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+
+    def view(self, index):
+        """The bytes of a buffer view."""
+        view = self.header["bufferViews"][index]
+        return self.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+
+    def array(self, index):
+        """An accessor's values, a row each."""
+        accessor = self.header["accessors"][index]
+        width = int(accessor["type"].removeprefix("VEC").replace("SCALAR", "1"))
+        if "bufferView" not in accessor:
+            return np.zeros((accessor["count"], width))
+        kind, most = {
+            5120: (np.int8, 127), 5121: (np.uint8, 255), 5122: (np.int16, 32767),
+            5123: (np.uint16, 65535), 5125: (np.uint32, 1), 5126: (np.float32, 1),
+        }[accessor["componentType"]]  # fmt: skip
+        stride = self.header["bufferViews"][accessor["bufferView"]].get("byteStride")
+        values = np.frombuffer(self.view(accessor["bufferView"]), kind)
+        columns = stride // np.dtype(kind).itemsize if stride else width
+        return values.reshape(accessor["count"], columns)[:, :width] / most
+
+    def corners(self, node, frame):
+        """Where the corners of a node's mesh are in a frame, counted from 0."""
+        primitive = self.header["meshes"][node["mesh"]]["primitives"][0]
+        places = self.array(primitive["attributes"]["POSITION"])
+        if frame:
+            places = places + self.array(primitive["targets"][frame - 1]["POSITION"])
+        return places * node["scale"][0] + node["translation"]
+
+    def picture(self, node):
+        """The texture of a node's mesh, sRGB, shape [height, width, 3]."""
+        primitive = self.header["meshes"][node["mesh"]]["primitives"][0]
+        surface = self.header["materials"][primitive["material"]]["pbrMetallicRoughness"]
+        texture = self.header["textures"][surface["baseColorTexture"]["index"]]
+        image = self.header["images"][texture["source"]]
+        return np.asarray(Image.open(io.BytesIO(self.view(image["bufferView"]))))
+
+
 def test_a_moving_mesh_has_colours_that_move(result, egg, tmp_path):
     """GLB: the first colours and the change to the last ones make the original; so does USD."""
     path = export(result, tmp_path / "moving.glb", "glb", tracked=True, frames=[0, 5, COUNT - 1])
-    data = path.read_bytes()
-    length = int.from_bytes(data[12:16], "little")
-    header, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
-    (mesh, *_) = header["meshes"][-1:]
-    primitive = mesh["primitives"][0]
-
-    def array(index):
-        accessor = header["accessors"][index]
-        view = header["bufferViews"][accessor["bufferView"]]
-        kind, most = {
-            5122: (np.int16, 32767), 5123: (np.uint16, 65535), 5126: (np.float32, 1)
-        }[accessor["componentType"]]  # fmt: skip
-        start, stride = view["byteOffset"], view["byteStride"] // np.dtype(kind).itemsize
-        values = np.frombuffer(binary[start : start + view["byteLength"]], kind)
-        return values.reshape(accessor["count"], stride)[:, :3] / most
-
-    light = array(primitive["attributes"]["COLOR_0"]) + array(primitive["targets"][-1]["COLOR_0"])
-    places = array(primitive["attributes"]["POSITION"])
-    places = places + array(primitive["targets"][-1]["POSITION"])
-    node = header["nodes"][-1]
-    places = places * node["scale"][0] if node["scale"][0] else places
-    places = places + node["translation"]
+    glb = Glb(path)
+    (node,) = glb.header["nodes"]
+    primitive = glb.header["meshes"][0]["primitives"][0]
+    light = glb.array(primitive["attributes"]["COLOR_0"])
+    light = light + glb.array(primitive["targets"][-1]["COLOR_0"])
+    places = glb.corners(node, 2)
     assert differences(srgb.to_bytes(light), original(egg, places)).max() < STILL_TO_SEE
-    assert header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+    assert glb.header["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_a_moving_mesh_has_textures_of_both_ends(result, ball, egg, tmp_path, last):
+    """One is on the mesh, one around it, and both are as the originals between corners, too."""
+    options = {"tracked": True, "frames": [0, 5, COUNT - 1], "units": "user" if last else "source"}
+    glb = Glb(export(result, tmp_path / "moving.glb", "glb", texture=512, **options))
+    inner, outer = glb.header["nodes"]
+    node, mesh, frame = (outer, egg, 2) if last else (inner, ball, 0)
+    primitive = glb.header["meshes"][node["mesh"]]["primitives"][0]
+    faces = glb.array(primitive["indices"]).astype(int).reshape(-1, 3)
+    picture, uv = glb.picture(node), glb.array(primitive["attributes"]["TEXCOORD_0"])
+    assert picture.shape == (512, 512, 3)
+    column, row = np.floor(uv[faces].mean(axis=1) * 512).astype(int).T
+    centres = glb.corners(node, frame)[faces].mean(axis=1)
+    found = differences(picture[row, column], original(mesh, centres))
+    # the first frame has gone 2 % of the way already
+    assert (found.max() if last else np.median(found)) < STILL_TO_SEE
+    around = glb.corners(outer, frame).max(axis=0) - glb.corners(inner, frame).max(axis=0)
+    assert 0 < np.linalg.norm(around) < 5e-3 * np.ptp(mesh.bounds, axis=0).max()
+
+
+def test_the_last_texture_appears_as_the_colours_are_mixed(result, tmp_path):
+    """By 3 s^2 - 2 s^3, from clear to opaque: alpha is the weight of the last target."""
+    path = export(result, tmp_path / "moving.glb", "glb", texture=64, tracked=True)
+    glb = Glb(path)
+    (primitive,) = glb.header["meshes"][1]["primitives"]
+    assert (glb.array(primitive["attributes"]["COLOR_0"])[:, 3] == 0).all()
+    colors = [glb.array(target["COLOR_0"]) for target in primitive["targets"]]
+    assert (colors[-1][:, 3] == 1).all()
+    assert not np.any(colors[-1][:, :3]) and not np.any(colors[:-1])
+    assert not np.any(glb.array(primitive["targets"][-1]["POSITION"]))
+    assert glb.header["materials"][primitive["material"]]["alphaMode"] == "BLEND"
+    animation = glb.header["animations"][0]
+    (channel,) = [one for one in animation["channels"] if one["target"]["node"] == 1]
+    weights = glb.array(animation["samplers"][channel["sampler"]]["output"])
+    share = (np.arange(COUNT) + 1) / COUNT
+    share = 3 * share**2 - 2 * share**3
+    expected = (share - share[0]) / (1 - share[0])
+    assert weights.reshape(COUNT, -1)[:, -1] == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_same_texture_twice_is_the_same_file(result, tmp_path):
+    """Charts and pictures do not depend on the moment."""
+    one, other = (
+        export(result, tmp_path / name, "glb", texture=64, tracked=True, frames=[0, -1])
+        for name in ("one.glb", "other.glb")
+    )
+    assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("format", "options", "cause"),
+    [
+        ("glb", {"texture": 32, "tracked": True}, "32 pixels an edge is out of range"),
+        ("glb", {"texture": 8192, "tracked": True}, "8192 pixels an edge is out of range"),
+        ("glb", {"texture": 256}, "tracked surface in a GLB"),
+        ("usd", {"texture": 256, "tracked": True}, "tracked surface in a GLB"),
+    ],
+)
+def test_a_texture_that_cannot_be_is_refused(result, tmp_path, format, options, cause):
+    """With the cause, before anything is computed."""
+    with pytest.raises(ConfigError, match=cause):
+        export(result, tmp_path / f"moving.{format}", format, **options)
+
+
+def test_there_is_no_texture_without_colours(tmp_path):
+    """A run of shapes of clay says so."""
+    path = tmp_path / "plain.vtkhdf"
+    steady(prepare("sphere", "sphere", configure("fast", SETTINGS)), path)
+    with pytest.raises(ConfigError, match="have no colours"):
+        export(path, tmp_path / "moving.glb", "glb", texture=256, tracked=True)
+
+
+def test_a_texture_needs_its_extra(result, tmp_path, monkeypatch):
+    """Whoever lacks xatlas is told what to install."""
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    with pytest.raises(ExtraError, match=r"pip install 'chamfer-morph\[texture\]'"):
+        export(result, tmp_path / "moving.glb", "glb", texture=256, tracked=True)
 
 
 @pytest.mark.parametrize("kind", ["points", "surface", "tracked"])
@@ -265,7 +376,10 @@ def test_a_shape_without_colours_is_of_clay(ball, tmp_path):
 def test_each_leg_leads_from_the_colours_of_the_last_one(ball, egg, tmp_path):
     """A loop ball, egg, ball: its colours pass the egg's and come back, without a jump."""
     record = prepare(ball, [egg, ball], configure("fast", SETTINGS))
-    with Trajectory(steady(record, tmp_path / "loop.vtkhdf", legs=2)) as run:
+    path = steady(record, tmp_path / "loop.vtkhdf", legs=2)
+    with pytest.raises(ConfigError, match="these frames lie on 2 legs"):
+        export(path, tmp_path / "loop.glb", "glb", texture=256, tracked=True)
+    with Trajectory(path) as run:
         assert run.colors.shape == (3, run.particle_count, 3)
         assert differences(run.colors[0], run.colors[2]).max() < STILL_TO_SEE
         shown = snapshots(run, surface=True, frames=(COUNT - 1, 2 * COUNT - 1))

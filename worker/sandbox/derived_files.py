@@ -89,6 +89,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     surface: bool
     snap: bool
     tracked: bool
+    texture: int | None = None
     fps: float | None
     seconds: float | None = None
     hold: float | None = None
@@ -124,6 +125,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
             "surface": self.surface,
             "snap": self.snap,
             "tracked": self.tracked,
+            "texture": self.texture,
             "timing": self.timing,
             "fields": self.fields,
         }

@@ -111,6 +111,7 @@ export class Downloads {
       frames.select.value = kind === "frame" ? "this" : "all";
       fields.field.hidden = !carries.includes("fields") || moving();
       units.field.hidden = kind === "table";
+      colours.field.hidden = !carries.includes("texture") || !moving();
     };
     const format = choose("Format", formats.map((one) => [one.name, one.name.toUpperCase()]), reflect);
     const content = choose("Content", [
@@ -134,6 +135,11 @@ export class Downloads {
       ["target", "Those of the target"],
       ["grid", "Grid units"],
     ]);
+    const colours = choose("Colours", [
+      ["", "At its corners"],
+      ["1024", "As textures, 1024 pixels"],
+      ["2048", "As textures, 2048 pixels"],
+    ]);
     const explain = h("p", { class: "quiet small" });
     const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
@@ -148,6 +154,7 @@ export class Downloads {
         frames: one ? [this.frame()] : null,
         surface: holds("surface"),
         tracked,
+        ...(!colours.field.hidden && colours.select.value && { texture: Number(colours.select.value) }),
         units: units.select.value,
         fields: fields.field.hidden || !fields.select.value ? [] : [fields.select.value],
       });
@@ -163,6 +170,7 @@ export class Downloads {
         frames.field,
         fields.field,
         units.field,
+        colours.field,
         h("button", { class: "primary" }, "Export"),
       ),
       explain,
