@@ -15,7 +15,15 @@ from playwright.sync_api import Page, expect
 
 from morph_engine.export import export
 from tests.browser.test_animated_glb import FPS, playing, validated
-from tests.browser.test_job_view import COMPILING, PATIENCE, changed, expect_frame, picture
+from tests.browser.test_job_view import (
+    COMPILING,
+    PATIENCE,
+    changed,
+    details,
+    expect_frame,
+    picture,
+    saved,
+)
 
 pytestmark = pytest.mark.browser
 
@@ -128,3 +136,19 @@ def test_three_shows_the_colours_of_a_moving_mesh(moving, browser):
     assert red > green > blue and other_blue > other_red
     (red, green, blue), (other_red, other_green, other_blue) = last
     assert green > max(red, blue) and min(other_red, other_blue) > other_green
+
+
+def test_textures_are_a_choice_where_a_mesh_moves(page, colored, tmp_path):
+    """As GLB, and as nothing else; the file has two pictures of the size that was chosen."""
+    page.goto(f"/jobs/{colored}?quality=plain")
+    details(page, "Files")
+    page.get_by_label("Format").select_option("glb")
+    choice = page.get_by_label("Colours", exact=True)
+    expect(choice).to_be_hidden()
+    page.get_by_label("Content").select_option("tracked")
+    expect(choice).to_have_value("")
+    choice.select_option("1024")
+    page.get_by_role("button", name="Export").click()
+    file = trimesh.load(saved(page, re.compile(r"^Save .*\.glb"), tmp_path))
+    pictures = [part.visual.material.baseColorTexture for part in file.geometry.values()]
+    assert [image.size for image in pictures] == [(1024, 1024)] * 2
