@@ -53,6 +53,7 @@ PATH_SCHEMAS: dict[str, dict[str, Any]] = {
 
 FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
     "deleteMesh": (409,), "deleteJob": (409,), "cancelJob": (409,), "revokeKey": (409,),
+    "putJobFirst": (409,), "getPlayback": (409,),
     "resumeJob": (409, 413, 429), "retryJob": (409, 413, 429),
     "getResult": (400, 409, 416), "getExportFile": (400, 409, 416),
     "getMeshFile": (400, 416), "getLog": (400, 416),
@@ -117,9 +118,9 @@ def _complete(operation: dict[str, Any], path: str) -> None:
     for parameter in parameters:
         if parameter["in"] == "path" and parameter["name"] in PATH_SCHEMAS:
             parameter["schema"] = PATH_SCHEMAS[parameter["name"]]
-    statuses = {500}
+    statuses = {403, 500}  # without keys, other hosts and origins are refused
     if name not in OPEN:
-        statuses |= {401, 403, 503}
+        statuses |= {401, 503, 507}
         operation["security"] = [{"key": []}, {}]  # none is needed while there are no keys
     if "{" in path:
         statuses.add(404)

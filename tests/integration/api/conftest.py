@@ -28,6 +28,7 @@ from morph_engine.morphing import prepare
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
+from tests.integration.api.contract import check_documented
 
 CUBE = """v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nv 0 0 10\nv 10 0 10\nv 10 10 10\nv 0 10 10
 f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7
@@ -99,7 +100,10 @@ def serving(settings: Settings) -> Iterator[Api]:
         while not server.started:
             assert thread.is_alive(), "the API did not start"
             time.sleep(0.01)
-        with httpx.Client(base_url=address(settings, listener), timeout=60) as http:
+        hooks = {"response": [check_documented]}
+        with httpx.Client(
+            base_url=address(settings, listener), timeout=60, event_hooks=hooks
+        ) as http:
             yield Api(http, server.context, settings)
     finally:
         server.should_exit = True

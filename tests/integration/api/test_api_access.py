@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
 from morph_engine.results.run_record import RunRecord
+from tests.integration.api import contract
 from tests.integration.api.conftest import MORPH, Api
 
-ROOT = Path(__file__).resolve().parents[3]
-CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text(encoding="utf-8"))
 OPERATIONS = [
     (operation["operationId"], method.upper(), path)
-    for path, item in CONTRACT["paths"].items()
-    for method, operation in item.items()
+    for method, path, operation in contract.OPERATIONS
     if path.startswith("/v1/")
 ]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,14 +16,8 @@ from chamfer_morph.server.http.openapi import text
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
+from tests.integration.api.contract import CONTRACT, OPERATIONS, ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
-CONTRACT = json.loads((ROOT / "openapi" / "openapi.json").read_text(encoding="utf-8"))
-OPERATIONS = [
-    (method, path, operation)
-    for path, item in CONTRACT["paths"].items()
-    for method, operation in item.items()
-]
 SAMPLES = {
     "job_id": "0" * 26, "sweep_id": "0" * 26, "mesh_id": "0" * 64, "worker_id": "none-slot9",
     "export_id": "0" * 26, "webhook_id": "0" * 26, "link_id": "0" * 26,
