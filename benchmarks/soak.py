@@ -81,6 +81,7 @@ class Service:
                     "MORPH_ADOPTION_SECONDS": "0.5",
                     "MORPH_RETRY_SECONDS": "0.2",
                     "MORPH_ATTEMPTS": "10",
+                    "MORPH_QUEUED_JOBS_PER_KEY": "100000",
                 },
                 stdout=log,
                 stderr=log,

@@ -2,15 +2,18 @@
 
 Needs chromium and the built page (make page). A job of 89k particles and 40 frames is computed
 first, which takes a minute; then the list of jobs and the job are opened in new browser profiles,
-three times.
+three times. A job of 38k particles, and its surface, are then turned while they play, and pictures
+are counted.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import sys
 import tempfile
+import time
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from statistics import median
@@ -32,12 +35,35 @@ const look = () => {
   requestAnimationFrame(look);
 };
 look();
+for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    window.drawing = true;
+    return draw.apply(this, given);
+  };
+}
+window.pictures = 0;
+const count = () => {
+  window.pictures += window.drawing ? 1 : 0;
+  window.drawing = false;
+  requestAnimationFrame(count);
+};
+count();
 """
-"""Runs beside the page; times are in ms since the navigation began."""
+"""Runs beside the page; times are in ms since the navigation began. `pictures` counts those that
+the page has drawn."""
 
 PATIENCE = 60_000
+SETTLED = 1500
+"""After this long [ms] a scene is drawn in full."""
+
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 BARS = (2.0, 1.0, 5.0, 400.0)
+LEAST_RATE = 10.0
+"""Pictures a second where no GPU draws them."""
+
+TURNING = 6.0
+"""How long a morph is turned while it plays [s]."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +108,35 @@ def opening(browser: Browser, server: str, job: str) -> Opening:
     return Opening(listed, first, whole, memory / 1e6)
 
 
+def pictures_per_second(browser: Browser, server: str, job: str, shape: str) -> float:
+    """How many pictures the page draws while a morph plays and is turned by the mouse.
+
+    Args:
+        browser: Draws them.
+        server: Address of the service.
+        job: A finished job.
+        shape: ``points`` or ``surface``.
+    """
+    context = _profile(browser)
+    page = context.new_page()
+    page.goto(f"{server}/jobs/{job}?frame=1&shape={shape}")
+    _noted(page, "drawn")
+    page.wait_for_load_state("networkidle")
+    page.wait_for_timeout(SETTLED)
+    page.locator(".scene").focus()
+    page.keyboard.press(" ")
+    page.mouse.move(500, 450)
+    page.mouse.down()
+    counted, begun = page.evaluate("window.pictures"), time.perf_counter()
+    step = 0
+    while (took := time.perf_counter() - begun) < TURNING:
+        step += 1
+        page.mouse.move(500 + 150 * math.sin(step / 20), 450)
+    counted = page.evaluate("window.pictures") - counted
+    context.close()
+    return counted / took
+
+
 def _profile(browser: Browser) -> BrowserContext:
     context = browser.new_context(viewport={"width": 1400, "height": 900})
     context.set_default_timeout(PATIENCE)
@@ -113,11 +168,17 @@ def main() -> int:
     ):
         overrides = {"sampling.points_per_cell_edge": 4}
         job = client.submit("sphere", "star", frames=FRAMES, overrides=overrides)
-        for event in client.events(job.id):
-            sys.stderr.write(f"\r{event.type} {event.data.get('frame', '')}   ")
-        sys.stderr.write("\n")
+        usual = client.submit("sphere", "star", frames=FRAMES)
+        for each in (job, usual):
+            for event in client.events(each.id):
+                sys.stderr.write(f"\r{event.type} {event.data.get('frame', '')}   ")
+            sys.stderr.write("\n")
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         rounds = [opening(browser, server, job.id) for _ in range(ROUNDS)]
+        rates = {
+            shape: pictures_per_second(browser, server, usual.id, shape)
+            for shape in ("points", "surface")
+        }
         browser.close()
     print(f"{machine()}, {ROUNDS} openings, drawn in software\n")
     above = 0
@@ -128,6 +189,9 @@ def main() -> int:
         above += middle > bar
         unit = "MB" if field.name == "memory" else "s"
         print(f"{field.name:8} {least:7.2f} {middle:7.2f} {most:7.2f} {unit:3} bar {bar:g}")
+    for shape, rate in rates.items():
+        above += rate < LEAST_RATE
+        print(f"{shape:8} {rate:15.1f} pictures/s, at least {LEAST_RATE:g}")
     return above
 
 

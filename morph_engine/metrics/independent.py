@@ -6,6 +6,7 @@ destinations come from the target's lattice has no advantage.
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 
 import igl
@@ -24,7 +25,7 @@ SUBCELLS = 8
 """Parts of a raster cell along each axis, by which its share in a ball is taken."""
 
 LEVEL_SAMPLES = 40_000
-"""Random points whose distance to the body's surface is taken, which is slow."""
+"""Random points whose distance to the body's surface is taken, unless more are asked for."""
 
 
 class Reference:
@@ -36,6 +37,7 @@ class Reference:
         seed: Of the random points and the lattice's offset.
         sets: Sets of so many points that `dense_s2t` is taken over: particles in heaps have few
             places, each of which is as far from a single set as chance has it.
+        level_samples: Most random points that `mesh_iou_level` is taken over, which is slow.
 
     Attributes:
         points: Random points of the volume [dx], shape [count or a few more, 3].
@@ -43,9 +45,18 @@ class Reference:
         volume: Of the mesh, by the random points [dx^3].
     """
 
-    def __init__(self, mesh: Mesh, *, count: int = 100_000, seed: int = 0, sets: int = 1) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        *,
+        count: int = 100_000,
+        seed: int = 0,
+        sets: int = 1,
+        level_samples: int = LEVEL_SAMPLES,
+    ) -> None:
         self._rng = np.random.default_rng(seed)
         self._bounds = mesh.bounds
+        self._level_samples = level_samples
         self._samples, self._wanted = _random_points(mesh, count, self._rng)
         self.points: Points = self._samples[self._wanted]
         self.volume: float = float(np.prod(mesh.bounds[1] - mesh.bounds[0]) * self._wanted.mean())
@@ -72,18 +83,19 @@ class Reference:
         return _rms(np.stack([each.query(points)[0] for each in self._sets]))
 
     def measure(self, positions: npt.ArrayLike, spacing: float) -> dict[str, float]:
-        """What `mesh_metrics` returns, of particles of a spacing [dx]."""
+        """What `mesh_metrics` returns, of particles of a spacing [dx]; always by the same draw."""
+        rng = copy.deepcopy(self._rng)
         points, _ = finite_points(positions)
         tree = scipy.spatial.cKDTree(points)
         radius = COVERING_RADIUS_OVER_H * spacing
-        samples, wanted = self._with_those_beyond(points, radius)
+        samples, wanted = self._with_those_beyond(points, radius, rng)
         distance, _ = tree.query(samples, distance_upper_bound=2 * radius)
         alone = wanted & np.isinf(distance)
         distance[alone], _ = tree.query(samples[alone])
         filled = distance < radius
 
-        some = self._rng.permutation(np.flatnonzero(wanted | (distance < 2 * radius)))
-        some = some[:LEVEL_SAMPLES]
+        some = rng.permutation(np.flatnonzero(wanted | (distance < 2 * radius)))
+        some = some[: self._level_samples]
         level = _of_volume(points, spacing, samples[some], filled[some], int(wanted[some].sum()))
         density = np.quantile(self._density(tree), [0.05, 0.95])
         return {
@@ -99,14 +111,14 @@ class Reference:
         }
 
     def _with_those_beyond(
-        self, points: Points, radius: float
+        self, points: Points, radius: float, rng: np.random.Generator
     ) -> tuple[Points, npt.NDArray[np.bool_]]:
         """Points drawn as densely wherever a particle reaches, and which are inside the mesh."""
         low, high = self._bounds
         lower = np.minimum(low, points.min(axis=0) - radius)
         upper = np.maximum(high, points.max(axis=0) + radius)
         count = round(len(self._samples) * np.prod(upper - lower) / np.prod(high - low))
-        more = self._rng.uniform(lower, upper, (count, 3))
+        more = rng.uniform(lower, upper, (count, 3))
         more = more[((more < low) | (more > high)).any(axis=1)]
         return (
             np.concatenate([self._samples, more]),

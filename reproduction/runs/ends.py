@@ -30,6 +30,8 @@ POINTS = 100_000
 SURFACE_POINTS = 150_000
 """Random points of either surface."""
 
+LEVEL_SAMPLES = 400_000
+"""Most random points that the overlap with the mesh is taken over."""
 
 SETS = 4
 """Of random points in a draw, over which s→t is taken."""
@@ -113,4 +115,7 @@ def measure_end(positions: npt.ArrayLike, target: str) -> list[dict[str, float]]
 @lru_cache(maxsize=2)
 def _references(target: str, sets: int) -> tuple[Mesh, tuple[Reference, ...]]:
     mesh = resolve_shape(target)
-    return mesh, tuple(Reference(mesh, count=POINTS, seed=seed, sets=sets) for seed in SEEDS)
+    return mesh, tuple(
+        Reference(mesh, count=POINTS, seed=seed, sets=sets, level_samples=LEVEL_SAMPLES)
+        for seed in SEEDS
+    )

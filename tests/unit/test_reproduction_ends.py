@@ -68,6 +68,15 @@ def test_the_draws_differ_and_agree(lattice):
     assert second == pytest.approx(first, rel=0.02)
 
 
+def test_what_was_measured_before_changes_nothing(lattice):
+    """Runs share the points of their target: each is measured as if it were the only one."""
+    reference = Reference(make("star"), count=5_000)
+    spacing = reference.spacing(len(lattice))
+    first = reference.measure(lattice, spacing)
+    assert reference.measure(lattice + np.float32([3, 0, 0]), spacing) != first
+    assert reference.measure(lattice, spacing) == first
+
+
 def test_draws_that_disagree_are_made_larger(lattice, monkeypatch):
     """Particles in heaps have few places: chance is large there, and more points are drawn."""
     monkeypatch.setattr(ends, "POINTS", 20_000)
