@@ -24,6 +24,9 @@ from morph_engine import methods
 OF_EVERY_RUN = ("morph_engine.morphing", "morph_engine.metrics.summary")
 """Modules that run any method, and that measure what it leaves."""
 
+SHOWING = ("morph_engine.export.", "morph_engine.rendering.")
+"""Beginnings of modules that a result imports to show itself, and that shape no run."""
+
 
 @cache
 def code_digest(method: str) -> str:
@@ -54,7 +57,7 @@ def code_files(method: str) -> dict[str, Path]:
         name = waiting.pop()
         if name.partition(".")[0] in packages:
             module, file = _holder(name)
-            if module not in found:
+            if module not in found and not f"{module}.".startswith(SHOWING):
                 found[module] = file
                 waiting += _references(module, file)
     return dict(sorted(found.items()))

@@ -74,6 +74,8 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., set[str]]
         ("metrics/volume.py", set(METHODS)),
         ("rendering/rasterizer.py", set()),
         ("export/ply.py", set()),
+        ("export/html.py", set()),  # by which a result shows itself in a notebook
+        ("results/tracked_surface.py", set()),
     ],
 )
 def test_a_change_counts_for_the_methods_that_compute_with_it(changed, name, methods_of_it):
