@@ -33,6 +33,7 @@ class Material:
         sheen: Colour of the light that grazing sight sees, as #rrggbb.
         glow: Colour that shines by itself, for light that wanders inside, as #rrggbb.
         opacity: What of the background is hidden where one looks straight at it.
+        transmission: Share of the light that enters and leaves on the other side, unseen.
     """
 
     color: str
@@ -43,6 +44,7 @@ class Material:
     sheen: str = "#000000"
     glow: str = "#000000"
     opacity: float = 1.0
+    transmission: float = 0.0
 
 
 MATERIALS = {
@@ -51,7 +53,7 @@ MATERIALS = {
     "jelly": Material("#f0433a", 0.14, clearcoat=0.4, opacity=0.82),
     "metal": Material("#c9ced6", 0.24, metalness=1.0),
     "wax": Material("#e9c687", 0.5, sheen="#ffb27a", glow="#2e1a0c"),
-    "glass": Material("#f3fbfa", 0.03, opacity=0.2),
+    "glass": Material("#f3fbfa", 0.03, opacity=0.2, transmission=0.7),
 }
 """All by name, those of the page, where light is bent that passes through here."""
 
@@ -134,7 +136,7 @@ def shaded(
     open_ = np.asarray(openness, np.float64)[:, None]
     matt = _diffuse(n, to_room) * open_
     grazing = (1 - facing[:, None]) ** 3
-    inner = (1 - material.metalness) * base * matt
+    inner = (1 - material.metalness) * (1 - material.transmission) * base * matt
     inner += grazing * srgb.linear(_rgb(material.sheen)) * matt
     inner += srgb.linear(_rgb(material.glow)) * open_
     outer = _glossy(n, mirrored, facing, material.roughness, reflected, to_room)

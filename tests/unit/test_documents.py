@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 from importlib.metadata import version
 from pathlib import Path
@@ -10,6 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+NAME = re.compile(r"`((?:morph_engine|chamfer_morph)(?:\.\w+)+)`")
+LOGGERS = {"chamfer_morph.audit", "chamfer_morph.jobs"}
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]+)")
 
 
@@ -18,6 +21,18 @@ def test_every_link_leads_to_a_file(document):
     """Of the same repository; places on pages are checked where the site is built."""
     for link in LINK.findall(document.read_text(encoding="utf-8")):
         assert (document.parent / link).is_file(), link
+
+
+@pytest.mark.parametrize(
+    "name",
+    sorted(
+        {name for document in DOCUMENTS for name in NAME.findall(document.read_text("utf-8"))}
+        - LOGGERS
+    ),
+)
+def test_every_name_in_python_is_there(name):
+    """Modules, and what is in them."""
+    assert pkgutil.resolve_name(name) is not None
 
 
 def test_the_citation_names_the_version():
