@@ -110,11 +110,7 @@ def export(
     ] = False,
     texture: Annotated[
         int | None,
-        typer.Option(
-            min=64,
-            max=4096,
-            help="With --tracked, in a .glb: colours as a texture of so many pixels.",
-        ),
+        typer.Option(help="With --tracked, in a .glb: colours as a texture of so many pixels."),
     ] = None,
     fps: Annotated[
         float | None,

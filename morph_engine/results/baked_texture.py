@@ -82,17 +82,21 @@ def baked(
     faces: npt.NDArray[np.int32],
     frames: tuple[int, ...],
     spacings: list[float],
+    size: int,
 ) -> BakedTextures:
     """Cut a mesh open as it is in its first frame and as it is in its last, and bake its colours.
 
     Args:
-        selection: Of what trajectory, and how large the pictures are.
+        selection: Of what trajectory.
         shapes: Corners of the mesh by frame [dx], each of shape [v, 3].
         faces: Its triangles, shape [f, 3].
         frames: Index of each frame, ascending.
         spacings: Lattice spacing h of the particles in each [dx].
+        size: Edge of the pictures [pixels].
     """
-    first, last = (_texture(selection, shapes[k], faces, frames[k], spacings[k]) for k in (0, -1))
+    first, last = (
+        _texture(selection, shapes[k], faces, frames[k], spacings[k], size) for k in (0, -1)
+    )
     mixed = np.array([selection.color_share(frame) for frame in frames])
     return BakedTextures(first, last, (mixed - mixed[0]) / max(mixed[-1] - mixed[0], 1e-9))
 
@@ -103,17 +107,15 @@ def _texture(
     faces: npt.NDArray[np.int32],
     frame: int,
     spacing: float,
+    size: int,
 ) -> BakedTexture:
     """Colours of a frame; pixels beside the charts have those of the nearest one in a chart.
 
     Corners are carried to both shapes, and what lies between them goes along.
     """
-    size = selection.texture or 0
     atlas = unwrapped(vertices, faces, size)
     picture = np.zeros((size, size, 3), np.uint8)
     passage = selection.passage(frame)
-    if passage is None:
-        return BakedTexture(atlas, picture)
     begin, end = (
         _spread(atlas, places, size) for places in passage.carried_to_ends(vertices, spacing)
     )

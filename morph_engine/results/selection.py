@@ -231,15 +231,13 @@ class Selection:
             frame: Index of the frame.
             spacing: Lattice spacing h of the particles there [dx].
         """
-        passage = self.passage(frame)
-        return passage.colors_at(vertices, spacing) if passage else None
-
-    def passage(self, frame: int) -> Passage | None:
-        """What gives colours to a surface in a frame; None where no shape has any."""
-        trajectory = self.trajectory
-        if trajectory.colors is None:
+        if self.trajectory.colors is None:
             return None
-        return self._passage(trajectory.positions(frame), *self._progress(frame), None)
+        return self.passage(frame).colors_at(vertices, spacing)
+
+    def passage(self, frame: int) -> Passage:
+        """What gives colours to a surface in a frame of shapes that have some."""
+        return self._passage(self.trajectory.positions(frame), *self._progress(frame), None)
 
     def particle_colors(self, frame: int) -> npt.NDArray[np.uint8] | None:
         """Colours of the particles in a frame, sRGB, shape [n, 3], uint8; None without any."""

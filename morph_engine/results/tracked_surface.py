@@ -219,7 +219,7 @@ def _placed(
     vertices = np.stack([selection.placed(shape, frame) for shape, frame in pairs])
     normals = np.stack([vertex_normals(frame, track.faces) for frame in vertices])
     if selection.texture:
-        textures = baked(selection, shapes, track.faces, frames, apart)
+        textures = baked(selection, shapes, track.faces, frames, apart, selection.texture)
         return TrackedMesh(frames, vertices, normals, track.faces, textures=textures)
     colors = [
         selection.surface_colors(*pair, spacing) for pair, spacing in zip(pairs, apart, strict=True)
