@@ -353,6 +353,21 @@ def test_looks_are_in_the_address(page, done):
     expect(page.get_by_label("Look", exact=True)).to_have_value("glass")
 
 
+@pytest.mark.parametrize("look", ["clay", "jelly", "metal"])
+def test_a_sketch_of_a_surface_is_lit_like_a_finer_picture(page, done, look):
+    """Which takes its light from a picture of a ball: within 12 levels of 255 on the average."""
+    seen = []
+    for fineness in ("sketch", "plain"):
+        page.goto(f"/jobs/{done}?frame={FRAMES}&look={look}&quality={fineness}")
+        expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+        taken = picture(page)
+        width, height = taken.size
+        seen.append(taken.crop((width // 4, height // 4, 3 * width // 4, 3 * height // 4)))
+    coarse, fine = (one.resize((40, 40), Image.Resampling.BOX) for one in seen)
+    assert sum(ImageStat.Stat(ImageChops.difference(coarse, fine)).mean) / 3 < 12
+    assert max(ImageStat.Stat(fine).stddev) > 8  # there is light and shade to be compared
+
+
 def test_the_page_says_how_finely_it_draws(page, done):
     """By what pictures take, unless somebody chooses."""
     page.goto(f"/jobs/{done}?shape=points")

@@ -7,7 +7,7 @@
 
 /** From quick to fine; `growth` is how much longer than the level below it may take. */
 export const LEVELS = [
-  { name: "sketch", label: "Sketch" }, // half the pixels each way, a part of the particles
+  { name: "sketch", label: "Sketch" }, // half the pixels each way, a part of the particles, a matcap for light
   { name: "plain", label: "Plain", growth: 4 }, // all pixels and particles
   { name: "full", label: "Full", growth: 4 }, // with ambient occlusion, refraction, fine pixels
 ];

@@ -23,6 +23,7 @@ import {
 
 import { LOOKS } from "./looks.js";
 import { material, refract, sized } from "./materials.js";
+import { Matcap } from "./matcap.js";
 
 /** A closed surface; what is inside a cut is found by counting faces in the stencil buffer. */
 export class Surface extends Group {
@@ -31,7 +32,9 @@ export class Surface extends Group {
   constructor() {
     super();
     this.size = 10;
-    this.mesh = new Mesh(new BufferGeometry());
+    this.matcap = new Matcap();
+    this.material = new MeshStandardMaterial();
+    this.mesh = new Mesh(new BufferGeometry(), this.material);
     this.counters = [
       counter(BackSide, IncrementWrapStencilOp, this.#plane),
       counter(FrontSide, DecrementWrapStencilOp, this.#plane),
@@ -39,7 +42,7 @@ export class Surface extends Group {
     this.cap = cap();
     this.mesh.renderOrder = 2;
     this.mesh.frustumCulled = false;
-    this.add(this.mesh, ...this.counters, this.cap);
+    this.add(this.mesh, ...this.counters, this.cap, this.matcap.ball);
     this.setCut(null);
   }
 
@@ -60,13 +63,13 @@ export class Surface extends Group {
 
   /** @param {string} name of the look. */
   setLook(name) {
-    const before = this.mesh.material;
+    const before = this.material;
     const made = material(name);
     sized(made, this.size);
     made.vertexColors = before.vertexColors ?? false;
     made.clippingPlanes = before.clippingPlanes ?? null;
     before.dispose();
-    this.mesh.material = made;
+    this.mesh.material = this.material = made;
     this.look = name;
     this.cap.material.color.set(LOOKS[name].color).multiplyScalar(0.85);
     this.#tint();
@@ -75,12 +78,12 @@ export class Surface extends Group {
   /** @param {number} size of what is shown [grid units], which light that goes through it depends on. */
   setSize(size) {
     this.size = size;
-    sized(this.mesh.material, size);
+    sized(this.material, size);
   }
 
   /** @param {Float32Array | null} colors linear, shape [vertices, 3]; null for that of the look. */
   setColors(colors) {
-    const made = this.mesh.material;
+    const made = this.material;
     if (colors) this.mesh.geometry.setAttribute("color", new BufferAttribute(colors, 3));
     if (made.vertexColors !== Boolean(colors)) {
       made.vertexColors = Boolean(colors);
@@ -95,7 +98,7 @@ export class Surface extends Group {
    */
   setCut(cut) {
     for (const one of [...this.counters, this.cap]) one.visible = cut !== null;
-    this.mesh.material.clippingPlanes = cut ? [this.#plane] : null;
+    this.material.clippingPlanes = cut ? [this.#plane] : null;
     if (!cut) return;
     const { normal, offset, center } = cut;
     this.#plane.set(normal.clone().negate(), offset);
@@ -106,26 +109,40 @@ export class Surface extends Group {
 
   /** Whether light goes through it. */
   get clear() {
-    return this.mesh.material.userData.transmission > 0;
+    return this.material.userData.transmission > 0;
   }
 
   /** Draw light that goes through it as it is refracted, or in a quicker way. */
   refract(refracts) {
-    refract(this.mesh.material, refracts);
+    refract(this.material, refracts);
     // both sides where there may be holes, or light comes through; else one, which the other would shine through
-    this.mesh.material.side = this.clear && !refracts ? FrontSide : DoubleSide;
+    this.material.side = this.clear && !refracts ? FrontSide : DoubleSide;
+  }
+
+  /** Light every pixel by itself, as the look has it. */
+  shade() {
+    this.mesh.material = this.material;
+  }
+
+  /** Light it by a matcap, which takes a fraction of the time. */
+  sketch(renderer, scene, camera) {
+    this.matcap.follow(this.material);
+    this.matcap.update(renderer, scene, camera);
+    this.mesh.material = this.matcap.material;
   }
 
   dispose() {
     this.mesh.geometry.dispose();
-    this.mesh.material.dispose();
+    this.material.dispose();
+    this.matcap.dispose();
     for (const one of [...this.counters, this.cap]) one.material.dispose();
     this.cap.geometry.dispose();
   }
 
   #tint() {
-    const made = this.mesh.material;
+    const made = this.material;
     made.color = new Color(made.vertexColors ? "white" : LOOKS[this.look].color);
+    this.matcap.setLook(this.look, made.color);
   }
 }
 

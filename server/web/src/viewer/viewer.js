@@ -23,6 +23,7 @@ import { backdrop } from "./backdrop.js";
 import { CASTS, ContactShadow } from "./contact_shadow.js";
 import { LOOKS } from "./looks.js";
 import { Marks } from "./marks.js";
+import { BALL } from "./matcap.js";
 import { roomLight } from "./materials.js";
 import { NONE } from "./nearest.js";
 import { Occlusion } from "./occlusion.js";
@@ -102,6 +103,7 @@ export class Viewer {
     for (const [strength, ...place] of LAMPS) {
       const lamp = new DirectionalLight(0xffffff, strength);
       lamp.position.set(...place);
+      lamp.layers.enable(BALL);
       this.camera.add(lamp);
     }
     this.particles = new Particles();
@@ -483,6 +485,8 @@ export class Viewer {
     this.marks.fit((2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.canvas.clientHeight);
     if (this.#cast < share) this.#castShadow(radius, share);
     this.surface.refract(full);
+    if (!sketch) this.surface.shade();
+    else if (this.surface.visible) this.surface.sketch(this.renderer, this.scene, this.camera);
     this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
     this.renderer.render(this.scene, this.camera);
     // what is clear has no creases, and three's pass does not know of cuts
@@ -514,6 +518,7 @@ export class Viewer {
 
   #restore() {
     this.scene.environment &&= roomLight(this.renderer);
+    this.surface.matcap.forget();
     this.#changed();
   }
 
