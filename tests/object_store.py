@@ -50,6 +50,8 @@ class Link:
         port: Of 127.0.0.1, where it begins.
         refused: Requests that got the status 500.
         delay: What comes back is held up so long, each piece of it [s].
+        cut_at: The link is cut in place of letting these bytes through, if any, the first time.
+        was_cut: Set once it was.
     """
 
     def __init__(self, target: tuple[str, int]) -> None:
@@ -59,6 +61,8 @@ class Link:
         self._failing = False
         self.refused = 0
         self.delay = 0.0
+        self.cut_at = b""
+        self.was_cut = threading.Event()
         self._sockets: set[socket.socket] = set()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
@@ -106,7 +110,7 @@ class Link:
             target=self._copy, args=(far, near), kwargs={"back": True}, daemon=True
         )
         back.start()
-        self._copy(near, far)
+        self._copy(near, far, back=False)
         back.join()
         self._sockets -= {near, far}
         near.close()
@@ -124,11 +128,16 @@ class Link:
             near.sendall(SERVER_ERROR)
             self.refused += 1
 
-    def _copy(self, source: socket.socket, sink: socket.socket, *, back: bool = False) -> None:
+    def _copy(self, source: socket.socket, sink: socket.socket, *, back: bool) -> None:
         with suppress(OSError):
             while data := source.recv(1 << 16):
                 if back:
                     time.sleep(self.delay)
+                elif self.cut_at and self.cut_at in data:
+                    self.cut_at = b""
+                    self.cut()
+                    self.was_cut.set()
+                    break
                 sink.sendall(data)
         for end in (source, sink):
             with suppress(OSError):

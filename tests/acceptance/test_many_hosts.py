@@ -19,6 +19,12 @@ from tests.object_store import BUCKET, Link, s3_server
 
 pytestmark = pytest.mark.faults
 
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""The result is the only file of a job that begins like this."""
+
+PATIENCE = 120.0
+"""How long a job may take to its result [s]."""
+
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
@@ -128,6 +134,37 @@ def test_link_that_is_cut_or_a_store_that_fails(
     reader.require_sound(job, undisturbed, kills=0)
 
 
+@pytest.mark.parametrize("seconds", [5.0, 60.0])
+def test_link_that_is_cut_in_the_middle_of_the_result(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray, seconds: float
+) -> None:
+    """The result is sent again once the store is back."""
+    reader, host = new_host(), new_host(link)
+    link.cut_at = HDF5_SIGNATURE
+    host.worker(0)
+    job = reader.submit()
+    assert link.was_cut.wait(PATIENCE)
+    time.sleep(seconds)
+    assert reader.job(job).state is JobState.RUNNING
+    link.mend()
+    reader.require_sound(job, undisturbed, kills=0)
+
+
+def test_worker_that_is_killed_in_the_middle_of_the_result(
+    new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
+) -> None:
+    """Another host writes it, from the frames that were published."""
+    reader, first, second = new_host(), new_host(link), new_host()
+    link.cut_at = HDF5_SIGNATURE
+    worker = first.worker(0)
+    job = reader.submit()
+    assert link.was_cut.wait(PATIENCE)
+    worker.kill()
+    second.start("janitor")
+    second.worker(1)
+    reader.require_sound(job, undisturbed, kills=1)
+
+
 def test_store_that_is_slow(
     new_host: Callable[..., Cluster], link: Link, undisturbed: np.ndarray
 ) -> None:
@@ -155,13 +192,17 @@ def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link:
         assert answer.status_code == 503 and "object store" in answer.json()["detail"]
 
 
-def test_link_that_stays_cut(new_host: Callable[..., Cluster], link: Link) -> None:
+@pytest.mark.parametrize("of", ["a frame", "the result"])
+def test_link_that_stays_cut(new_host: Callable[..., Cluster], link: Link, of: str) -> None:
     """A job whose files nobody can have fails, and says why; resumed, it ends where it was."""
     reader, host = new_host(), new_host(link, object_store_seconds="1")
+    if of == "the result":
+        link.cut_at = HDF5_SIGNATURE
     host.worker(0)
     job = reader.submit()
-    reader.wait_for_frame(job, 3)
-    link.cut()
+    if of == "a frame":
+        reader.wait_for_frame(job, 3)
+        link.cut()
     record = reader.wait_for_state(job, JobState.FAILED)
     assert record.problem is not None
     assert record.problem.kind == "resources"
