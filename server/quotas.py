@@ -170,10 +170,9 @@ class Quotas:
             ProblemError: 413.
         """
         self.invalidate(owner)
-        others = self.used_bytes(owner) - self._meshes.totals(owner)[1]
         limit = self._settings.disk_bytes_per_key
         with self._reservations.reserving(
-            "bytes", owner, size_bytes, limit, lambda: self._meshes.totals(owner)[1] + others
+            "bytes", owner, size_bytes, limit, lambda: self._measured_bytes(owner)
         ) as reserved:
             if reserved.refused:
                 raise _disk_is_full(reserved.there, limit)
@@ -209,9 +208,12 @@ class Quotas:
         """Disk that a key fills, measured within the last half minute [bytes]."""
         measured_at, used = self._disk.get(owner, (float("-inf"), 0))
         if time.monotonic() - measured_at > DISK_SECONDS:
-            used = self._meshes.totals(owner)[1] + self._sizes.of(owner)
+            used = self._measured_bytes(owner)
             self._disk[owner] = (time.monotonic(), used)
         return used
+
+    def _measured_bytes(self, owner: str) -> int:
+        return self._meshes.totals(owner)[1] + self._sizes.of(owner)
 
     def invalidate(self, owner: str) -> None:
         """Something of this key has been made or deleted."""

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
+import pytest
 import sqlalchemy as sa
 
 from chamfer_morph.server.database.tables import ReservationRow
@@ -38,6 +39,29 @@ def test_parallel_submits_stay_within_the_quota(
         assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
     assert api.http.post("/v1/sweeps", json=sweep).status_code == 202
     assert api.http.post(f"/v1/jobs/{jobs[0]}/retry").status_code == 429
+
+
+@pytest.mark.parametrize("look", [1, 2, 3])
+def test_a_mesh_that_another_process_stores_meanwhile_counts(
+    make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch, cube: bytes, look: int
+) -> None:
+    """Whenever it comes between the looks that an upload takes at the disk."""
+    api = make_api(disk_bytes_per_key=1_000_000)
+    quotas, meshes = api.context.quotas, api.context.meshes
+    looks: list[str] = []
+    used_bytes = quotas.used_bytes
+
+    def look_and_be_overtaken(owner: str) -> int:
+        used = used_bytes(owner)
+        looks.append(owner)
+        if len(looks) == look:
+            meshes.add(owner, "0" * 64, "of_another_process.obj", 600_000)
+        return used
+
+    monkeypatch.setattr(quotas, "used_bytes", look_and_be_overtaken)
+    content = cube + b"#" * 600_000 + b"\n"
+    api.http.post("/v1/meshes", params={"name": "cube.obj"}, content=content)
+    assert meshes.totals(looks[0])[1] <= 1_000_000
 
 
 def test_quotas_hold_over_processes(
