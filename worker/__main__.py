@@ -68,9 +68,10 @@ def adopt(settings: Settings, executor: str) -> None:
     signal.alarm(ADOPTION_LIMIT_SECONDS)
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.storage import open_storage
     from chamfer_morph.worker.workflow import launch
 
-    spare = SpareEngine(settings)
+    spare = SpareEngine(settings, open_storage(settings, executor).kept_results)
     launch(settings, executor, spare, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
     while executor in queue.running():
@@ -85,6 +86,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
+    from chamfer_morph.worker.storage import open_storage
     from chamfer_morph.worker.workflow import launch
 
     queue = JobQueue(settings)
@@ -99,7 +101,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
-    spare = SpareEngine(settings)
+    spare = SpareEngine(settings, open_storage(settings, executor).kept_results)
     look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
     while not ended.is_set():

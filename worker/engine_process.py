@@ -1,4 +1,4 @@
-"""An engine process: it computes one job. Its arguments are THREADS and perhaps EXTENT, see `main`.
+"""An engine process: it computes one job. Its arguments are those of `main`.
 
 Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
 `job_dir`, `attempt` and whether it is `traced`, writes frames, checkpoint, events and result, and
@@ -42,22 +42,24 @@ from morph_engine.results.provenance import provenance_by_now
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import Trajectory
-from morph_engine.warm_up import TYPICAL_EXTENT, extent_of, warm_up
+from morph_engine.warm_up import extent_of, warm_up
 
 SILENCE_SECONDS = 6.0
 
 
-def main(threads: int, extent: int = TYPICAL_EXTENT) -> None:
+def main(threads: int, kept: Path, likely: Mapping[str, Any]) -> None:
     """Wait for a job, compute it or go on with it, and say how it went.
 
     Args:
         threads: CPU threads to compute with.
-        extent: Half the cells along an axis of the grid that the job will probably have.
+        kept: Folder of what engines keep for later jobs.
+        likely: `method` and `extent` that the job will probably have, see `warm_up`.
     """
     lower_priority()
+    kept_results.keep_in(kept)
     jobs: Queue[dict[str, Any]] = Queue()
     threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
-    if all(jobs.empty() for _ in warm_up(threads, extent)):
+    if all(jobs.empty() for _ in warm_up(threads, **likely)):
         _send("ready", {"device": backend.active().device})
     job = jobs.get()
     if job["traced"]:
@@ -65,7 +67,6 @@ def main(threads: int, extent: int = TYPICAL_EXTENT) -> None:
     job_dir = Path(job["job_dir"])
     _write_messages_to(job_dir / "log.txt")
     storage = Storage(job_dir.parent.parent)
-    kept_results.keep_in(storage.kept_results)
     lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
     try:
         spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
@@ -245,4 +246,4 @@ def _send(type: str, data: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), *map(int, sys.argv[2:]))
+    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]))

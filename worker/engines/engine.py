@@ -25,6 +25,8 @@ class Engine:
 
     Args:
         threads: CPU threads that it computes with.
+        kept_results: Folder of what engines keep for later jobs.
+        method: Method that its job will probably have.
         extent: Half the cells along an axis of the grid that its job will probably have.
         log: Where it writes messages before it has a job; those of this process if not given.
 
@@ -39,7 +41,13 @@ class Engine:
     """
 
     def __init__(
-        self, threads: int, *, extent: int | None = None, log: IO[bytes] | None = None
+        self,
+        threads: int,
+        kept_results: Path,
+        *,
+        method: str | None = None,
+        extent: int | None = None,
+        log: IO[bytes] | None = None,
     ) -> None:
         self.outcome: Outcome | None = None
         self.problem: Problem | None = None
@@ -49,7 +57,8 @@ class Engine:
         self.peak_memory: int = 0
         self._device: str | None = None  # once it is ready
         self._spans: EngineSpans | None = None
-        arguments = [str(threads), *([str(extent)] if extent else [])]
+        likely = json.dumps({"method": method, "extent": extent})
+        arguments = (str(threads), str(kept_results), likely)
         self._process = subprocess.Popen(
             python_command("chamfer_morph.worker.engine_process", *arguments),
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,

@@ -25,19 +25,22 @@ class SpareEngine:
     """An engine process that is ready for the next job of a slot.
 
     Each computes one job at most. The next is started once that job is nearly done, so that
-    it takes little from what somebody waits for. Of that job it learns the size of the grid's cells
-    and nothing else: kernels are compiled for each.
+    it takes little from what somebody waits for. Of that job it learns the method and the extent of
+    the grid, and nothing else: kernels are compiled for each.
 
     Args:
         settings: Threads, and whether to keep a spare process at all.
+        kept_results: Folder of what engines keep for later jobs.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, kept_results: Path) -> None:
         self._kept = settings.warm_engines
         self._threads = threads_per_job(settings)
+        self._kept_results = kept_results
         self._lock = threading.Lock()  # one thread keeps it, another takes it
         self._spare: Engine | None = None
         self._taken: Engine | None = None  # the last one that was
+        self._method: str | None = None  # of its job
         self._enough_frames = 0.0  # for which it has been taken
         self._start_at = 0.0
 
@@ -52,17 +55,23 @@ class SpareEngine:
             taken = self._taken
             waited_for = taken and taken.frames < self._enough_frames and not taken.ended
             if not self._spare and not waited_for and time.monotonic() >= self._start_at:
-                self._spare = Engine(self._threads, extent=taken.extent if taken else None)
+                self._spare = Engine(
+                    self._threads,
+                    self._kept_results,
+                    method=self._method,
+                    extent=taken.extent if taken else None,
+                )
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
         """A process for a job: the spare one if it is ready for that, or else a new one."""
         with self._lock:
+            self._method = spec.config.method.name
             self._enough_frames = NEARLY_DONE * spec.frame_count
             if self._spare and self._spare.is_ready_for(spec):
                 self._taken, self._spare = self._spare, None
             else:
                 with (job_dir / "log.txt").open("ab") as messages:
-                    self._taken = Engine(self._threads, log=messages)
+                    self._taken = Engine(self._threads, self._kept_results, log=messages)
             return self._taken
 
     def end(self) -> None:
