@@ -95,7 +95,7 @@ def opening(browser: Browser, server: str, job: str) -> Opening:
     page = context.new_page()
     page.goto(f"{server}/jobs/{job}")
     first = _noted(page, "drawn")
-    ends = "performance.getEntriesByType('resource').filter(one => one.name.includes('/frames/'))"
+    ends = _ends("/frames/")
     while page.evaluate(f"{ends}.length") < FRAMES:
         page.wait_for_timeout(50)
     whole = page.evaluate(f"Math.max(...{ends}.map(one => one.responseEnd))") / 1000
@@ -123,8 +123,11 @@ def pictures_per_second(browser: Browser, server: str, job: str, shape: str) -> 
     _noted(page, "drawn")
     page.wait_for_load_state("networkidle")
     page.wait_for_timeout(SETTLED)
+    page.get_by_label("Loop").check()
     page.locator(".scene").focus()
     page.keyboard.press(" ")
+    while shape == "surface" and page.evaluate(f"{_ends('/surface')}.length") < FRAMES:
+        page.wait_for_timeout(50)
     page.mouse.move(500, 450)
     page.mouse.down()
     counted, begun = page.evaluate("window.pictures"), time.perf_counter()
@@ -135,6 +138,11 @@ def pictures_per_second(browser: Browser, server: str, job: str, shape: str) -> 
     counted = page.evaluate("window.pictures") - counted
     context.close()
     return counted / took
+
+
+def _ends(part: str) -> str:
+    """JavaScript for what has been fetched from addresses with this part."""
+    return f"performance.getEntriesByType('resource').filter(one => one.name.includes('{part}'))"
 
 
 def _profile(browser: Browser) -> BrowserContext:

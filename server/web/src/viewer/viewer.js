@@ -507,7 +507,7 @@ export class Viewer {
     this.#cast = share;
     this.#ground = Math.min(this.#ground, lowest(this.particles.positions, this.#up));
     this.shadow.place(this.#up, this.#frameOf.center, radius, this.#ground);
-    this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share));
+    this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share), share < 1);
   }
 
   /** Something else is shown, or elsewhere. */
