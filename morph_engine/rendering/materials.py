@@ -2,7 +2,8 @@
 
 The room is a smooth ambient and six lamps, each a spherical Gaussian L exp(k (d.u - 1)) whose
 integral is what the lamp sheds (Wang et al. 2009); a rough surface blurs it to another one. Two
-distant lamps go with the camera. Reflection is that of microfacets (Karis 2014), and what is
+distant lamps go with the camera. Reflection is that of microfacets (Karis 2014); light that passes
+through is bent where it leaves, as in glTF's KHR_materials_transmission and _volume; and what is
 brighter than white is compressed as Khronos' neutral tone mapper does.
 """
 
@@ -32,8 +33,9 @@ class Material:
         clearcoat_roughness: Its roughness.
         sheen: Colour of the light that grazing sight sees, as #rrggbb.
         glow: Colour that shines by itself, for light that wanders inside, as #rrggbb.
-        opacity: What of the background is hidden where one looks straight at it.
-        transmission: Share of the light that enters and leaves on the other side, unseen.
+        transmission: Share of the light that is not scattered inside, but passes through.
+        ior: Index of refraction.
+        thickness: Length of the path of light inside, over the radius of what is shown.
     """
 
     color: str
@@ -43,19 +45,25 @@ class Material:
     clearcoat_roughness: float = 0.1
     sheen: str = "#000000"
     glow: str = "#000000"
-    opacity: float = 1.0
     transmission: float = 0.0
+    ior: float = 1.5
+    thickness: float = 0.0
+
+    @property
+    def reflectance(self) -> float:
+        """What its surface reflects straight back, unless it is a metal."""
+        return ((self.ior - 1) / (self.ior + 1)) ** 2
 
 
 MATERIALS = {
     "clay": Material("#bd8163", 0.92),
     "porcelain": Material("#f2efe9", 0.3, clearcoat=0.3, clearcoat_roughness=0.06),
-    "jelly": Material("#f0433a", 0.14, clearcoat=0.4, opacity=0.82),
+    "jelly": Material("#f0433a", 0.14, clearcoat=0.4, transmission=0.75, ior=1.38, thickness=0.35),
     "metal": Material("#c9ced6", 0.24, metalness=1.0),
     "wax": Material("#e9c687", 0.5, sheen="#ffb27a", glow="#2e1a0c"),
-    "glass": Material("#f3fbfa", 0.03, opacity=0.2, transmission=0.7),
+    "glass": Material("#f3fbfa", 0.03, transmission=1.0, ior=1.46, thickness=0.3),
 }
-"""All by name, those of the page, where light is bent that passes through here."""
+"""All by name, those of the page."""
 
 ROOM = 0.36
 """Strength of the room's light."""
@@ -90,7 +98,7 @@ EYE = np.array([0.0, 0.0, 1.0])
 """Towards the eye."""
 
 DIELECTRIC = 0.04
-"""What a surface that is no metal reflects straight back."""
+"""What most surfaces that are no metal reflect straight back."""
 
 LEAST_ROUGHNESS = 0.045
 COMPRESSED_FROM = 0.76
@@ -108,35 +116,58 @@ def find(name: str) -> Material:
     return MATERIALS[name]
 
 
-def shaded(
+def bent(material: Material, normals: Floats) -> Floats:
+    """Where light comes from that passes through, beside what is straight behind (Snell's law).
+
+    Args:
+        material: The material.
+        normals: Unit normals as the eye sees them, z towards it, shape [n, 3].
+
+    Returns:
+        Offsets to the right and upwards over the radius of what is shown, shape [n, 2].
+    """
+    n = np.asarray(normals, np.float64)
+    facing = np.clip(n[:, 2:], 0.0, 1.0)
+    ratio = 1 / material.ior
+    turned = ratio * facing - np.sqrt(1 - ratio**2 * (1 - facing**2))
+    return np.asarray(material.thickness * turned * n[:, :2])
+
+
+def light(
     material: Material,
     normals: Floats,
     openness: Floats,
     to_room: Floats,
+    behind: Floats,
     colors: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    """How a material looks at some points.
+) -> Floats:
+    """The light that comes from some points of a material.
 
     Args:
         material: The material.
         normals: Unit normals as the eye sees them, z towards it, shape [n, 3].
         openness: What light of the room reaches a point, about 1, shape [n].
         to_room: Rotation from the eye to the room, whose y points upwards, shape [3, 3].
+        behind: Light that comes from behind, where that is bent, linear RGB and how far it hides
+            what is still farther away, shape [n, 4].
         colors: sRGB in place of the material's own, shape [n, 3], 0 to 1.
 
     Returns:
-        sRGB, shape [n, 3], 0 to 1, to be added to what is seen of the background, and the share of
-        the background that is hidden, shape [n].
+        Linear RGB, shape [n, 4], and how far each point hides what is behind all.
     """
     n = np.asarray(normals, np.float64)
     facing = np.clip(n[:, 2], 1e-3, 1.0)
     mirrored = 2 * facing[:, None] * n - EYE
     base = srgb.linear(_rgb(material.color) if colors is None else colors)
-    reflected = DIELECTRIC + material.metalness * (base - DIELECTRIC)
+    reflectance = material.reflectance
+    reflected = reflectance + material.metalness * (base - reflectance)
     open_ = np.asarray(openness, np.float64)[:, None]
     matt = _diffuse(n, to_room) * open_
     grazing = (1 - facing[:, None]) ** 3
-    inner = (1 - material.metalness) * (1 - material.transmission) * base * matt
+    scattered = (1 - material.metalness) * base * matt
+    scale, bias = _fresnel(facing, material.roughness)
+    passed = (1 - reflectance * scale - bias)[:, None] * base * behind[:, :3]
+    inner = scattered + material.transmission * (passed - scattered)
     inner += grazing * srgb.linear(_rgb(material.sheen)) * matt
     inner += srgb.linear(_rgb(material.glow)) * open_
     outer = _glossy(n, mirrored, facing, material.roughness, reflected, to_room)
@@ -144,10 +175,8 @@ def shaded(
     if material.clearcoat:
         coat = _glossy(n, mirrored, facing, material.clearcoat_roughness, DIELECTRIC, to_room)
         outer = outer + material.clearcoat * coat
-    hidden = material.opacity + (1 - material.opacity) * grazing
-    through = hidden * inner
-    rgb = hidden * _shown(inner) + _shown(through + outer) - _shown(through)
-    return rgb, hidden[:, 0]
+    hidden = 1 - material.transmission * (1 - behind[:, 3]) * base.mean(axis=-1)
+    return np.column_stack([inner + outer, hidden])
 
 
 def _diffuse(n: Floats, to_room: Floats) -> Floats:
@@ -219,7 +248,8 @@ def _tone_mapped(light: Floats) -> Floats:
     return np.where(peak < COMPRESSED_FROM, color, compressed)
 
 
-def _shown(light: Floats) -> Floats:
+def shown(light: Floats) -> Floats:
+    """Light as a picture has it, sRGB, 0 to 1."""
     return srgb.encoded(_tone_mapped(light))
 
 

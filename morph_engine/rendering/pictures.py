@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageColor
 
+from morph_engine import srgb
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
 from morph_engine.geometry.point_cloud import finite_points
@@ -206,7 +208,7 @@ def picture(
         name = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
         colors = colormap.colors(values, low, high, palette=name)
     camera = view or Camera.facing(points, look(), size)
-    image = _painted(points, spacing, colors, faces, camera, size, material)
+    image = _painted(points, spacing, colors, faces, camera, size, material, background)
     if background is None:
         image[..., :3] /= np.maximum(image[..., 3:], LEAST_COVER)
         return _as_bytes(image)
@@ -501,8 +503,13 @@ def _painted(
     camera: Camera,
     size: Size,
     material: str | None = None,
+    background: tuple[float, float, float] | None = None,
 ) -> npt.NDArray[np.float32]:
-    """The shape alone: RGB times cover, and cover, shape [height, width, 4], float32, 0 to 1."""
+    """The shape alone, with what of the background passes through it.
+
+    Returns:
+        RGB times cover, and cover, shape [height, width, 4], float32, 0 to 1.
+    """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     canvas, scale = Canvas(*fine), camera.pixels(fine)
     plain = np.full((len(points), 3), CLAY)
@@ -514,14 +521,41 @@ def _painted(
     else:
         normals = (vertex_normals(points, faces) @ camera.rotation.T).astype(np.float32)
         canvas.triangles(camera.seen(points, fine), normals, rgb, faces)
-    if material:
-        to_room = _room(camera.rotation)
-        image = canvas.lit_as(materials.find(material), scale, to_room, colored=colors is not None)
+    covered = canvas.covered
+    image = np.zeros((*covered.shape, 4), np.float32)
+    if material is None:
+        image[covered] = np.column_stack([canvas.lit(scale)[covered], np.ones(covered.sum())])
     else:
-        cover = canvas.covered[..., None].astype(np.float32)
-        image = np.concatenate([canvas.lit(scale) * cover, cover], axis=2)
+        found = materials.find(material)
+        behind = np.zeros(4) if background is None else np.append(srgb.linear(background), 1.0)
+        seen = partial(
+            Canvas.light,
+            material=found,
+            scale=scale,
+            to_room=_room(camera.rotation),
+            radius=scale * _radius(points),
+            colored=colors is not None,
+        )
+        if found.transmission and faces is not None:  # its far side is seen from within
+            far = Canvas(*fine)
+            far.triangles(camera.seen(points, fine), -normals, rgb, faces[:, ::-1])
+            scene = np.empty((*covered.shape, 4), np.float32)
+            scene[:] = behind
+            scene[far.covered] = seen(far, behind=behind)
+            behind = scene
+        light = seen(canvas, behind=behind)
+        shown = materials.shown(light[:, :3])
+        hidden = np.maximum(light[:, 3:], shown.max(axis=1, keepdims=True))
+        image[covered] = np.column_stack([shown, hidden])
     tiles = image.reshape(size[1], OVERSAMPLING, size[0], OVERSAMPLING, 4)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
+
+
+def _radius(points: Floats) -> float:
+    """Of a ball around the middle of some points."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    middle = (finite.min(axis=0) + finite.max(axis=0)) / 2
+    return float(np.linalg.norm(finite - middle, axis=1).max())
 
 
 def _room(rotation: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter
 
-from morph_engine.rendering.materials import Material, shaded
+from morph_engine.rendering.materials import Material, bent, light
 
 Floats = npt.NDArray[np.float32]
 
@@ -152,27 +152,42 @@ class Canvas:
         lit: Floats = np.minimum(color * shade[..., None], np.float32(1))
         return lit
 
-    def lit_as(
-        self, material: Material, scale: float, to_room: npt.NDArray[np.float64], *, colored: bool
-    ) -> Floats:
-        """The picture as of a material in a room, hollows as of `lit`.
+    def light(
+        self,
+        material: Material,
+        scale: float,
+        to_room: npt.NDArray[np.float64],
+        *,
+        colored: bool,
+        behind: npt.NDArray[np.floating],
+        radius: float,
+    ) -> npt.NDArray[np.floating]:
+        """The light of a material in a room, hollows as of `lit`.
 
         Args:
             material: The material.
             scale: Over which hollows are looked for [pixels].
             to_room: Rotation from the eye to the room, whose y points upwards, shape [3, 3].
             colored: Whether the colours that were drawn stand in place of the material's own.
+            behind: Light from behind, linear RGB, and how far it hides what is farther away, shape
+                [height, width, 4], or [4] where it is the same everywhere.
+            radius: Of what is shown [pixels], which tells how far light is bent inside.
 
         Returns:
-            RGB times cover, and cover, shape [height, width, 4], 0 to 1, float32.
+            Light and cover of the pixels that are `covered`, shape [n, 4].
         """
         pixel = np.flatnonzero(np.isfinite(self._depth))
+        normal = self._normal[pixel]
+        if behind.ndim == 1:
+            seen = np.broadcast_to(behind, (len(pixel), 4))
+        else:
+            aside = radius * bent(material, normal) * FLIP[:2]
+            place = np.stack([pixel % self._width, pixel // self._width], axis=1) + np.rint(aside)
+            column, row = place.clip(0, [self._width - 1, self._height - 1]).astype(np.intp).T
+            seen = behind[row, column]
         openness = self._openness(scale).reshape(-1)[pixel]
         own = self._color[pixel] if colored else None
-        rgb, cover = shaded(material, self._normal[pixel], openness, to_room, own)
-        image = np.zeros((len(self._depth), 4), np.float32)
-        image[pixel] = np.column_stack([rgb, cover])
-        return image.reshape(self._height, self._width, 4)
+        return light(material, normal, openness, to_room, seen, own)
 
     def _nearest(
         self, fragments: Iterable[Fragments]

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from morph_engine import srgb
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.rendering import colormap
-from morph_engine.rendering.materials import MATERIALS
+from morph_engine.rendering.materials import MATERIALS, Material, bent, light
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
 
@@ -104,19 +105,38 @@ LOOKS_JS = Path(__file__).resolve().parents[2] / "server/web/src/viewer/looks.js
 
 
 def test_the_page_has_the_same_looks():
-    """Names, colours, roughness and clear layers."""
+    """Names, colours, roughness, clear layers, and what passes through."""
     text = LOOKS_JS.read_text()
     page = dict(re.findall(r"^  (\w+): \{(.*?)\},?$", text, re.M | re.S))
     assert page.keys() == MATERIALS.keys()
     for name, material in MATERIALS.items():
         assert re.search(rf'color: "{material.color}"', page[name])
-        for key, value in (
-            ("roughness", material.roughness),
-            ("metalness", material.metalness),
-            ("clearcoat", material.clearcoat),
-        ):
+        usual = Material("#000000", 0.0)
+        for key in ("roughness", "metalness", "clearcoat", "transmission", "ior", "thickness"):
             found = re.search(rf"\b{key}: ([\d.]+)", page[name])
-            assert float(found[1] if found else 0) == value
+            value = float(found[1]) if found else getattr(usual, key)
+            assert getattr(material, key) == value
+
+
+def test_light_that_passes_through_is_bent_and_tinted():
+    """Not where one looks straight at glass, and towards its middle at its rim (Snell's law)."""
+    glass = MATERIALS["glass"]
+    sine = 0.8
+    normals = np.array([[0.0, 0.0, 1.0], [sine, 0.0, 0.6]])
+    straight, aside = bent(glass, normals)
+    assert straight == pytest.approx([0, 0])
+    inside = np.arcsin(sine / glass.ior)
+    assert aside == pytest.approx([-glass.thickness * np.sin(np.arcsin(sine) - inside), 0])
+    behind = np.array([[0.2, 0.4, 0.1, 1.0], [0.2, 0.4, 0.1, 1.0]])
+    tint = srgb.linear(np.array([0.0, 0.5, 1.0]))
+    openness, eye = np.zeros(2), np.eye(3)
+    colors = np.array([[0.0, 0.5, 1.0]] * 2)
+    passed = light(glass, normals, openness, eye, behind, colors)
+    dark = light(glass, normals, openness, eye, np.zeros((2, 4)), colors)
+    assert passed[:, 3] == pytest.approx(1)
+    assert dark[:, 3] == pytest.approx(1 - tint.mean())
+    reflected = 1 - (passed - dark)[0, 1:3] / (tint * behind[0, :3])[1:]
+    assert reflected == pytest.approx(glass.reflectance, abs=0.01)
 
 
 def test_looks_are_told_apart(lattice_ball):
