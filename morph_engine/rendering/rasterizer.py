@@ -20,6 +20,9 @@ HOLLOW_PIXELS = 8
 """Blur of the depth, in pixels of the coarse picture that finds hollows."""
 
 
+PIXELS_AT_ONCE = 1 << 19
+"""So many are shaded together, for the memory that takes."""
+
 FLIP = np.array([1, -1, 1], np.float32)
 """Rows grow downwards."""
 
@@ -161,7 +164,7 @@ class Canvas:
         colored: bool,
         behind: npt.NDArray[np.floating],
         radius: float,
-    ) -> npt.NDArray[np.floating]:
+    ) -> Floats:
         """The light of a material in a room, hollows as of `lit`.
 
         Args:
@@ -174,20 +177,26 @@ class Canvas:
             radius: Of what is shown [pixels], which tells how far light is bent inside.
 
         Returns:
-            Light and cover of the pixels that are `covered`, shape [n, 4].
+            Light and cover of the pixels that are `covered`, shape [n, 4], float32.
         """
-        pixel = np.flatnonzero(np.isfinite(self._depth))
-        normal = self._normal[pixel]
-        if behind.ndim == 1:
-            seen = np.broadcast_to(behind, (len(pixel), 4))
-        else:
-            aside = radius * bent(material, normal) * FLIP[:2]
-            place = np.stack([pixel % self._width, pixel // self._width], axis=1) + np.rint(aside)
-            column, row = place.clip(0, [self._width - 1, self._height - 1]).astype(np.intp).T
-            seen = behind[row, column]
-        openness = self._openness(scale).reshape(-1)[pixel]
-        own = self._color[pixel] if colored else None
-        return light(material, normal, openness, to_room, seen, own)
+        openness = self._openness(scale).reshape(-1)
+
+        def lit(pixel: npt.NDArray[np.intp]) -> Floats:
+            normal = self._normal[pixel]
+            if behind.ndim == 1:
+                seen = np.broadcast_to(behind, (len(pixel), 4))
+            else:
+                aside = radius * bent(material, normal) * FLIP[:2]
+                place = np.stack([pixel % self._width, pixel // self._width], axis=1)
+                place = (place + np.rint(aside)).clip(0, [self._width - 1, self._height - 1])
+                column, row = place.astype(np.intp).T
+                seen = behind[row, column]
+            own = self._color[pixel] if colored else None
+            return light(material, normal, openness[pixel], to_room, seen, own).astype(np.float32)
+
+        pixels = np.flatnonzero(np.isfinite(self._depth))
+        parts = np.array_split(pixels, 1 + len(pixels) // PIXELS_AT_ONCE)
+        return np.concatenate([lit(part) for part in parts])
 
     def _nearest(
         self, fragments: Iterable[Fragments]
