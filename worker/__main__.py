@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 from chamfer_morph.worker import service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -47,20 +48,20 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> None:
 
     runs = arguments.command == "run"
     executor = executor_id(arguments.slot) if runs else "janitor"
-    open_storage(settings, executor)
+    storage = open_storage(settings, executor)
     check_reachable(settings)
     if runs:
         telemetry.set_up("morph-worker")
-        run_slot(settings, executor)
+        run_slot(settings, executor, storage.kept_results)
     elif arguments.command == "janitor":
         from chamfer_morph.worker import janitor
 
         janitor.run(settings)
     else:
-        adopt(settings, arguments.executor)
+        adopt(settings, arguments.executor, storage.kept_results)
 
 
-def adopt(settings: Settings, executor: str) -> None:
+def adopt(settings: Settings, executor: str, kept_results: Path) -> None:
     """Queue the jobs again that a worker left, under its name; the caller holds its lock.
 
     It ends by a signal where it takes too long, whether or not the caller still lives.
@@ -68,10 +69,9 @@ def adopt(settings: Settings, executor: str) -> None:
     signal.alarm(ADOPTION_LIMIT_SECONDS)
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.queue import JobQueue
-    from chamfer_morph.worker.storage import open_storage
     from chamfer_morph.worker.workflow import launch
 
-    spare = SpareEngine(settings, open_storage(settings, executor).kept_results)
+    spare = SpareEngine(settings, kept_results)
     launch(settings, executor, spare, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
     while executor in queue.running():
@@ -80,13 +80,12 @@ def adopt(settings: Settings, executor: str) -> None:
     os._exit(0)
 
 
-def run_slot(settings: Settings, executor: str) -> None:
+def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
     from chamfer_morph.worker.dbos_adapter import database
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
     from chamfer_morph.worker.locks import wait_for_lock
     from chamfer_morph.worker.queue import JobQueue
-    from chamfer_morph.worker.storage import open_storage
     from chamfer_morph.worker.workflow import launch
 
     queue = JobQueue(settings)
@@ -101,7 +100,7 @@ def run_slot(settings: Settings, executor: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
-    spare = SpareEngine(settings, open_storage(settings, executor).kept_results)
+    spare = SpareEngine(settings, kept_results)
     look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
     while not ended.is_set():

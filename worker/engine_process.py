@@ -47,16 +47,16 @@ from morph_engine.warm_up import extent_of, warm_up
 SILENCE_SECONDS = 6.0
 
 
-def main(threads: int, kept: Path, likely: Mapping[str, Any]) -> None:
+def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
     """Wait for a job, compute it or go on with it, and say how it went.
 
     Args:
         threads: CPU threads to compute with.
-        kept: Folder of what engines keep for later jobs.
+        kept_in: Folder of what engines keep for later jobs.
         likely: `method` and `extent` that the job will probably have, see `warm_up`.
     """
     lower_priority()
-    kept_results.keep_in(kept)
+    kept_results.keep_in(kept_in)
     jobs: Queue[dict[str, Any]] = Queue()
     threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
     if all(jobs.empty() for _ in warm_up(threads, **likely)):

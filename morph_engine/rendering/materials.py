@@ -98,7 +98,7 @@ EYE = np.array([0.0, 0.0, 1.0])
 """Towards the eye."""
 
 DIELECTRIC = 0.04
-"""What most surfaces that are no metal reflect straight back."""
+"""What most surfaces that are no metal reflect straight back, a clear layer among them."""
 
 LEAST_ROUGHNESS = 0.045
 COMPRESSED_FROM = 0.76
@@ -148,26 +148,26 @@ def light(
         normals: Unit normals as the eye sees them, z towards it, shape [n, 3].
         openness: What light of the room reaches a point, about 1, shape [n].
         to_room: Rotation from the eye to the room, whose y points upwards, shape [3, 3].
-        behind: Light that comes from behind, where that is bent, linear RGB and how far it hides
-            what is still farther away, shape [n, 4].
+        behind: What is seen through each point: linear RGB, and how far that hides what is still
+            farther away, shape [n, 4].
         colors: sRGB in place of the material's own, shape [n, 3], 0 to 1.
 
     Returns:
-        Linear RGB, shape [n, 4], and how far each point hides what is behind all.
+        Linear RGB, and how far each point hides what is behind all, shape [n, 4].
     """
     n = np.asarray(normals, np.float64)
     facing = np.clip(n[:, 2], 1e-3, 1.0)
     mirrored = 2 * facing[:, None] * n - EYE
     base = srgb.linear(_rgb(material.color) if colors is None else colors)
-    reflectance = material.reflectance
-    reflected = reflectance + material.metalness * (base - reflectance)
+    reflected = material.reflectance + material.metalness * (base - material.reflectance)
     open_ = np.asarray(openness, np.float64)[:, None]
     matt = _diffuse(n, to_room) * open_
     grazing = (1 - facing[:, None]) ** 3
-    scattered = (1 - material.metalness) * base * matt
-    scale, bias = _fresnel(facing, material.roughness)
-    passed = (1 - reflectance * scale - bias)[:, None] * base * behind[:, :3]
-    inner = scattered + material.transmission * (passed - scattered)
+    inner = (1 - material.metalness) * base * matt
+    if material.transmission:
+        scale, bias = _fresnel(facing, material.roughness)
+        entering = 1 - material.reflectance * scale - bias
+        inner += material.transmission * (entering[:, None] * base * behind[:, :3] - inner)
     inner += grazing * srgb.linear(_rgb(material.sheen)) * matt
     inner += srgb.linear(_rgb(material.glow)) * open_
     outer = _glossy(n, mirrored, facing, material.roughness, reflected, to_room)

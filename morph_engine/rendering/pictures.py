@@ -116,12 +116,8 @@ class Camera:
     @classmethod
     def anywhere(cls, points: npt.ArrayLike, rotation: Floats) -> Camera:
         """A camera that shows all points from wherever it looks; arguments as for `facing`."""
-        seen, _ = finite_points(points)
-        if not len(seen):
-            return cls(rotation, np.zeros(3), 1.0)
-        centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        farthest = float(np.linalg.norm(seen - centre, axis=1).max())
-        return cls(rotation, centre, MARGIN * max(farthest, 1e-6))
+        centre, radius = _ball(points)
+        return cls(rotation, centre, MARGIN * max(radius, 1e-6))
 
     def seen(self, points: npt.ArrayLike, size: Size) -> npt.NDArray[np.float32]:
         """Positions in pixels from the picture's centre, shape [n, 3], float32."""
@@ -524,38 +520,41 @@ def _painted(
     covered = canvas.covered
     image = np.zeros((*covered.shape, 4), np.float32)
     if material is None:
-        image[covered] = np.column_stack([canvas.lit(scale)[covered], np.ones(covered.sum())])
+        image[covered, :3] = canvas.lit(scale)[covered]
+        image[covered, 3] = 1
     else:
         found = materials.find(material)
-        behind = np.zeros(4) if background is None else np.append(srgb.linear(background), 1.0)
-        seen = partial(
+        lit = partial(
             Canvas.light,
             material=found,
             scale=scale,
             to_room=_room(camera.rotation),
-            radius=scale * _radius(points),
             colored=colors is not None,
+            radius=scale * _ball(points)[1],
         )
+        behind = np.zeros(4) if background is None else np.append(srgb.linear(background), 1.0)
         if found.transmission and faces is not None:  # its far side is seen from within
             far = Canvas(*fine)
             far.triangles(camera.seen(points, fine), -normals, rgb, faces[:, ::-1])
-            scene = np.empty((*covered.shape, 4), np.float32)
-            scene[:] = behind
-            scene[far.covered] = seen(far, behind=behind)
+            scene = np.tile(behind.astype(np.float32), (*covered.shape, 1))
+            scene[far.covered] = lit(far, behind=behind)
             behind = scene
-        light = seen(canvas, behind=behind)
+        light = lit(canvas, behind=behind)
         shown = materials.shown(light[:, :3])
-        hidden = np.maximum(light[:, 3:], shown.max(axis=1, keepdims=True))
-        image[covered] = np.column_stack([shown, hidden])
+        image[covered, :3] = shown
+        # a reflection is seen where nothing else is
+        image[covered, 3] = np.maximum(light[:, 3], shown.max(axis=1))
     tiles = image.reshape(size[1], OVERSAMPLING, size[0], OVERSAMPLING, 4)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
 
 
-def _radius(points: Floats) -> float:
-    """Of a ball around the middle of some points."""
-    finite = points[np.isfinite(points).all(axis=1)]
-    middle = (finite.min(axis=0) + finite.max(axis=0)) / 2
-    return float(np.linalg.norm(finite - middle, axis=1).max())
+def _ball(points: npt.ArrayLike) -> tuple[Floats, float]:
+    """Centre [3] and radius of a ball around all points; those not finite are overlooked."""
+    finite, _ = finite_points(points)
+    if not len(finite):
+        return np.zeros(3), 1.0
+    centre = (finite.min(axis=0) + finite.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(finite - centre, axis=1).max())
 
 
 def _room(rotation: Floats) -> Floats:

@@ -88,13 +88,8 @@ export class ContactShadow extends Group {
     this.camera.updateProjectionMatrix();
   }
 
-  /**
-   * Draw the shadow anew.
-   *
-   * @param {number} diameter of the points that cast it [grid units].
-   * @param {boolean} sketched whether its grain may stay, which takes half of the time.
-   */
-  update(renderer, scene, diameter, sketched) {
+  /** Draw the shadow anew, of points with a diameter [grid units]. */
+  update(renderer, scene, diameter) {
     this.footprint.uniforms.size.value = Math.max(1.5, (diameter / (2 * this.camera.right)) * PIXELS);
     const alpha = renderer.getClearAlpha();
     const { environment } = scene;
@@ -106,7 +101,7 @@ export class ContactShadow extends Group {
     renderer.render(scene, this.camera);
     scene.overrideMaterial = null;
     scene.environment = environment;
-    for (const pixels of sketched ? BLURS.slice(0, 1) : BLURS) {
+    for (const pixels of BLURS) {
       this.#blur(renderer, this.blurs[0], "h", pixels, this.seen, this.passing);
       this.#blur(renderer, this.blurs[1], "v", pixels, this.passing, this.seen);
     }

@@ -1,5 +1,5 @@
 /** A look as a matcap: a picture of a ball under the same light, of which a surface takes one texel a pixel. */
-import { HalfFloatType, Matrix4, Mesh, MeshMatcapMaterial, OrthographicCamera, SphereGeometry, WebGLRenderTarget } from "three";
+import { HalfFloatType, Mesh, MeshMatcapMaterial, OrthographicCamera, SphereGeometry, WebGLRenderTarget } from "three";
 
 import { material } from "./materials.js";
 
@@ -8,7 +8,7 @@ const PIXELS = 96;
 
 /** Quick light for a surface in motion where no graphics card is; follows the camera and the look. */
 export class Matcap {
-  #seen = new Matrix4();
+  #seen = null; // from where, once the ball is drawn
   #camera = new OrthographicCamera(-1, 1, 1, -1, -1, 1);
 
   constructor() {
@@ -45,20 +45,17 @@ export class Matcap {
 
   /** Draw the ball anew at the next opportunity. */
   forget() {
-    this.#seen.identity();
+    this.#seen = null;
   }
 
   /** Draw the ball as a camera sees it, unless it has not moved. */
   update(renderer, scene, camera) {
-    if (this.#seen.equals(camera.matrixWorld)) return;
-    this.#seen.copy(camera.matrixWorld);
+    if (this.#seen?.equals(camera.matrixWorld)) return;
+    this.#seen = camera.matrixWorld.clone();
     this.#camera.quaternion.copy(camera.quaternion);
-    const { background } = scene;
-    scene.background = null;
     renderer.setRenderTarget(this.target);
     renderer.render(scene, this.#camera);
     renderer.setRenderTarget(null);
-    scene.background = background;
   }
 
   dispose() {

@@ -22,8 +22,8 @@ import {
 } from "three";
 
 import { LOOKS } from "./looks.js";
-import { material, refract, sized } from "./materials.js";
 import { Matcap } from "./matcap.js";
+import { material, refract, sized } from "./materials.js";
 
 /** A closed surface; what is inside a cut is found by counting faces in the stencil buffer. */
 export class Surface extends Group {

@@ -485,9 +485,9 @@ export class Viewer {
     this.marks.fit((2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.canvas.clientHeight);
     if (this.#cast < share) this.#castShadow(radius, share);
     this.surface.refract(full);
+    this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
     if (!sketch) this.surface.shade();
     else if (this.surface.visible) this.surface.sketch(this.renderer, this.scene, this.camera);
-    this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
     this.renderer.render(this.scene, this.camera);
     // what is clear has no creases, and three's pass does not know of cuts
     if (!full || !this.surface.visible || this.surface.clear || this.cut) return;
@@ -507,7 +507,7 @@ export class Viewer {
     this.#cast = share;
     this.#ground = Math.min(this.#ground, lowest(this.particles.positions, this.#up));
     this.shadow.place(this.#up, this.#frameOf.center, radius, this.#ground);
-    this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share), share < 1);
+    this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share));
   }
 
   /** Something else is shown, or elsewhere. */
