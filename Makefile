@@ -18,7 +18,7 @@ CHROMIUM := $(or $(MORPH_CHROMIUM),$(shell command -v chromium))
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo page site test test-acceptance test-browser test-site test-faults test-distribution \
-  test-blender addon image test-image audit sbom lint \
+  test-blender addon image test-image audit sbom mutation lint \
   format bench gallery pictures lock clean
 
 help:  ## show the targets
@@ -70,7 +70,7 @@ test-site: site  ## its links, its examples, and its pages in headless Chromium
 	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
 	$(BIN)/python -m pytest -m site
 
-test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; 10 minutes
+test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; long
 	$(BIN)/python -m pytest -m faults
 
 test-distribution: install page  ## the wheel on each Python of 3.10-3.13 that is here
@@ -123,6 +123,9 @@ lock:  ## resolve the versions again (needs uv)
 	uv pip compile --python-platform linux --python-version 3.13 --generate-hashes --no-emit-index-url \
 	  --no-header --upgrade --extra all -c requirements.lock \
 	  -o requirements-image.lock pyproject.toml
+
+mutation: install  ## faults planted into the queue, one at a time; hours; FILES are some of its files
+	$(BIN)/python -m benchmarks.mutation $(FILES)
 
 audit: install  ## known weaknesses of the locked packages, by pip-audit; asks PyPI
 	for lock in requirements-image.lock requirements.lock; do \

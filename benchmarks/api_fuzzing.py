@@ -15,9 +15,6 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.service.local_service import LocalService
-from chamfer_morph.server.database.api_keys import ApiKeyStore
-from chamfer_morph.server.database.tables import create
-from chamfer_morph.worker.dbos_adapter import database
 
 CONTRACT = Path(__file__).resolve().parents[1] / "openapi"
 
@@ -36,11 +33,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="morph-contract-") as folder:
         service = LocalService(Path(folder), options.database)
-        engine = database(service.settings)
-        create(engine)
-        made = ApiKeyStore(engine).add("root", ["admin"])
-        engine.dispose()
-        assert made is not None, "the database is not empty"
+        key = service.add_key("root", "admin")
         with service.served(1) as (api, _):
             return subprocess.run(
                 [
@@ -48,7 +41,7 @@ def main() -> int:
                     "--config-file", CONTRACT / "schemathesis.toml",
                     "run", CONTRACT / "openapi.json",
                     "--url", str(api.base_url),
-                    "--header", f"Authorization: Bearer {made[1]}",
+                    "--header", f"Authorization: {key['Authorization']}",
                     "--exclude-operation-id", "revokeKey",
                     "--max-examples", str(options.examples),
                     "--seed", str(options.seed),

@@ -4,8 +4,8 @@
 
 Each host has a folder of its own, a janitor and workers, which reach an empty Postgres database and
 an S3 server over links of their own. Again and again a process gets SIGKILL, stands still for some
-seconds, or a link is cut for some. In the end every job must have succeeded once, with the
-particles of a run that nothing disturbed.
+seconds, or a link is cut, silent one way or both, or slow for some. In the end every job must have
+succeeded once, with the particles of a run that nothing disturbed.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +46,23 @@ LONGEST_PAUSE = 20.0
 """How long a process stands still or a link is cut at most [s]."""
 
 PATIENCE_SECONDS = 5400.0
+
+SLOW_SECONDS = 0.2
+
+
+def slow_down(link: Link) -> None:
+    """Hold up what goes over a link."""
+    link.delay = SLOW_SECONDS
+
+
+TROUBLES: dict[str, Callable[[Link], None]] = {
+    "cut": Link.cut,
+    "silent": Link.silence,
+    "silent there": partial(Link.silence, back=False),
+    "silent back": partial(Link.silence, there=False),
+    "slow": slow_down,
+}
+"""What may happen to a link."""
 
 
 @dataclass
@@ -77,10 +96,10 @@ class Host:
         kind = chance.choice(["kill", "kill", "engine", "stop", "database", "store"])
         seconds = chance.uniform(1, LONGEST_PAUSE)
         if kind in self.links:
-            link = self.links[kind]
-            link.cut()
+            link, how = self.links[kind], chance.choice([*TROUBLES])
+            TROUBLES[how](link)
             threading.Timer(seconds, link.mend).start()
-            return f"{kind} cut"
+            return f"{kind} {how}"
         with suppress(psutil.Error, ValueError):
             process = psutil.Process(chance.choice([*self.processes.values()]).pid)
             if kind == "engine":

@@ -11,7 +11,8 @@ at most one frame computed again for each kill.
     python -m benchmarks.soak --kills 0 --jobs 2000
 
 Kills nothing, and measures instead whether the service grows: memory and open files of its lasting
-processes, and how long an answer takes, in the last fifth of the jobs against the second.
+processes, its children, its connections to Postgres, and how long an answer takes, in the last
+fifth of the jobs against the second. After both, no process and no connection may be left.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,6 +37,7 @@ import httpx
 import numpy as np
 import psutil
 
+from benchmarks.service.postgres_load import connections_to
 from morph_engine.results.trajectory import Trajectory
 
 KINDS = {
@@ -61,6 +64,7 @@ class Service:
     workers: int
     supervisor: subprocess.Popen[bytes] | None = None
     kills: Counter[str] = field(default_factory=Counter)
+    _seen: set[psutil.Process] = field(default_factory=set)
 
     def keep_alive(self) -> None:
         """Start the supervisor if it is not there."""
@@ -100,34 +104,65 @@ class Service:
         if kind == "supervisor" and self.supervisor is not None:
             self.supervisor.wait()
 
-    def stop(self) -> None:
-        """End all of it."""
+    def stop(self) -> list[str]:
+        """End all of it; returns what is left of it nevertheless."""
         if self.supervisor is not None:
             self.supervisor.terminate()
             self.supervisor.wait(20)
+        deadline = time.monotonic() + 20
+        while (left := self.left()) and time.monotonic() < deadline:
+            time.sleep(0.2)
+        return left
+
+    def left(self) -> list[str]:
+        """Processes and connections of this service, in words."""
+        processes = [f"{process.pid} is left" for process in self._processes()]
+        connections = self.connections()
+        return processes + [f"{connections} connections are left"] * bool(connections)
+
+    def connections(self) -> int:
+        """Connections to the database, none of them being this one; 0 on SQLite."""
+        return connections_to(self.database_url) if self.database_url else 0
 
     def size(self) -> dict[str, float]:
-        """Memory [bytes] and open files of the processes that last."""
+        """Memory [bytes] and files of processes that last; all processes; connections."""
         found = [(kind, process) for kind in LASTING for process in self._family().get(kind, [])]
         size: Counter[str] = Counter()
         for kind, process in found:
             size[f"memory of {kind}"] += process.memory_info().rss
             size[f"files of {kind}"] += process.num_fds()
+        size["processes"] = len(self._processes())
+        if self.database_url:
+            size["connections"] = self.connections()
         return dict(size)
 
     def _family(self) -> dict[str, list[psutil.Process]]:
         """Processes of this service by kind; those of a dead supervisor may still be about."""
         family: dict[str, list[psutil.Process]] = {}
-        for process in psutil.process_iter():
-            try:
+        for process in self._processes():
+            with suppress(psutil.Error):  # it has ended
                 command = process.cmdline()
-                mine = process.environ().get("MORPH_DATA_DIR") == str(self.data_dir)
-            except psutil.Error:
-                continue
-            for kind, words in KINDS.items():
-                if mine and all(word in command for word in words):
-                    family.setdefault(kind, []).append(process)
+                for kind, words in KINDS.items():
+                    if all(word in command for word in words):
+                        family.setdefault(kind, []).append(process)
         return family
+
+    def _processes(self) -> list[psutil.Process]:
+        """Every process of this service; children are not told whose they are, and are kept."""
+        for process in psutil.process_iter():
+            with suppress(psutil.Error):  # it has ended
+                if process.environ().get("MORPH_DATA_DIR") == str(self.data_dir):
+                    self._seen.update([process, *process.children(recursive=True)])
+        self._seen = {process for process in self._seen if runs(process)}
+        return [*self._seen]
+
+
+def runs(process: psutil.Process) -> bool:
+    """Whether a process has not ended."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def main() -> int:
@@ -162,7 +197,8 @@ def main() -> int:
             ]
             again = sum(max(len(frames(service, job)) - options.frames, 0) for job in jobs)
         finally:
-            service.stop()
+            left = service.stop()
+        faults += left
         total = sum(service.kills.values())
         listed = len(states)
         print(f"{options.jobs} jobs, {listed} listed, {time.monotonic() - started:.0f} s")

@@ -83,6 +83,7 @@ def check_service() -> Iterator[Finding]:
     from chamfer_morph.worker.settings import load_settings
 
     yield check_network()
+    yield check_files()
     try:
         settings = load_settings()
     except MorphError as error:
@@ -117,10 +118,11 @@ def check_libraries() -> Finding:
 
 def check_memory() -> Finding:
     """Memory and cores that a job may use."""
+    from morph_engine.machine_cores import usable_cores
     from morph_engine.machine_memory import free_memory, total_memory
 
     free = free_memory()
-    text = f"{format_size(free)} free of {format_size(total_memory())}, {os.cpu_count()} cores"
+    text = f"{format_size(free)} free of {format_size(total_memory())}, {usable_cores()} cores"
     if free < LEAST_MEMORY:
         return Finding("memory", "warning", text, "Free some: a job takes half a gigabyte.")
     return Finding("memory", "ok", text)
@@ -159,6 +161,17 @@ def check_network() -> Finding:
             "profile that lets unshare pass), or let a network policy do it.",
         )  # fmt: skip
     return Finding("network", "ok", "Processes that read uploads have none.")
+
+
+def check_files() -> Finding:
+    """Whether processes that read uploads can be kept from the files of others."""
+    command = python_command("chamfer_morph.worker.sandbox.landlock")
+    if subprocess.run(command, check=False).returncode:
+        return Finding(
+            "files", "warning", "Processes that read uploads may read what the service may.",
+            "Take Linux 5.13 or newer with Landlock (`lsm=` of the kernel names it).",
+        )  # fmt: skip
+    return Finding("files", "ok", "Processes that read uploads have those of their task alone.")
 
 
 def check_database(settings: Settings) -> Finding:

@@ -90,7 +90,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
 
 
 def epilog(path: str) -> str:
-    """What stands below the help of a command; the blank lines between its lines are not shown."""
-    examples = EXAMPLES.get(path, ())
+    """What stands below the help of a command, or of a group, which has one of each command.
+
+    The blank lines between its lines are not shown.
+    """
+    below = (known[0] for name, known in EXAMPLES.items() if name.startswith(f"{path} "))
+    examples = EXAMPLES.get(path) or tuple(below)
     heading = "Examples:" if len(examples) > 1 else "Example:"
     return "\n\n".join((heading, *examples)) if examples else ""

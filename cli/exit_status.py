@@ -13,6 +13,7 @@ import typer
 
 from chamfer_morph.cli.output import error_document, in_flags, print_json
 from morph_engine.errors import MorphError
+from morph_engine.memory_limit import is_out_of_memory
 
 UNEXPECTED, BAD_INPUT = 1, 2
 JOB_FAILED = 1
@@ -36,16 +37,13 @@ def exit_status(command: Callable[[], int | None], *, as_json: bool, debug: bool
         # whoever read our output has enough; keep the interpreter's last flush quiet
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except MemoryError:
-        problem = MorphError(
-            "There is not enough memory for this.",
-            "Use fewer points per cell edge, or free memory.",
-        )
-        status = BAD_INPUT
     except Exception as error:
-        if debug:
+        if is_out_of_memory(error):
+            problem, status = _no_memory(), BAD_INPUT
+        elif debug:
             raise
-        problem, status = _program_fault(error), UNEXPECTED
+        else:
+            problem, status = _program_fault(error), UNEXPECTED
     if as_json:
         print_json(error_document(problem))
     sys.stderr.write(f"{problem.cause}\n{in_flags(problem.remedy)}\n")
@@ -56,6 +54,13 @@ def _usage_error(error: typer.TyperException) -> MorphError:
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "morph"
     return MorphError(f"{error.format_message().rstrip('.')}.", f"See {command} --help.")
+
+
+def _no_memory() -> MorphError:
+    return MorphError(
+        "There is not enough memory for this.",
+        "Use fewer points per cell edge, or free memory.",
+    )
 
 
 def _program_fault(error: Exception) -> MorphError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from chamfer_morph.reproduction.report.section import DisplayTable, Section
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.runner import Progress as RunProgress
 from chamfer_morph.reproduction.runs.store import Record
+from morph_engine.machine_cores import usable_cores
 
 SETTLED_SHARE = 0.02
 """From here on the time left follows from what has been measured, not from the estimate."""
@@ -101,7 +101,7 @@ def print_plan(
     cost = sum(run.expected_cpu_seconds for run in missing)
     plan = f"{len(missing)} runs to compute, {known} are there already."
     if missing and server is None:
-        cores = min(jobs, os.cpu_count() or 1)
+        cores = min(jobs, usable_cores())
         duration = format_duration(cost / cores)
         plan += f" About {format_duration(cost)} of CPU time, {duration} with {jobs} at a time."
     elif missing:

@@ -151,13 +151,6 @@ def _allowed(field: FieldInfo) -> str:
     )
 
 
-HEADLINE = (
-    "s2t", "t2s", "two_sided", "hausdorff", "f1", "overlap_01", "many_to_one", "coverage",
-    "iou", "cover", "spill", "rho_p05", "rho_p95", "det_f_min", "det_f_max", "escaped",
-)  # fmt: skip
-"""The metrics that are shown of a job; the result file has all of them."""
-
-
 def print_summary(document: Mapping[str, Any]) -> None:
     """The end of a run on standard output: how good it is, what it cost, and what to do next."""
     sys.stdout.write(
@@ -261,17 +254,18 @@ def _cost(outcome: Outcome) -> str:
 
 
 def print_outcome(job: Job) -> None:
-    """What a finished job has come to: headline metrics and its cost, or why it failed."""
+    """What a finished job has come to: how good it is and what it cost, or why it failed."""
     if job.outcome is None:
         sys.stdout.write(f"{job.id} {_state(job)}\n")
         if job.problem:
             sys.stdout.write(f"{job.problem.cause}\n{in_flags(job.problem.remedy)}\n")
         return
-    metrics = job.outcome.metrics
-    print_metrics({name: metrics[name] for name in HEADLINE if name in metrics})
+    if "cover" in job.outcome.metrics:
+        sys.stdout.write(f"{quality(job.outcome.metrics)}\n")
     sys.stdout.write(
-        f"\n{job.outcome.frames} frames of {job.outcome.particle_count} particles "
-        f"({_cost(job.outcome)}): morph fetch {job.id}\n"
+        f"{job.outcome.frames} frames of {job.outcome.particle_count:,} particles "
+        f"({_cost(job.outcome)}): job {job.id}\n"
+        f"look at it: morph view {job.id}\nfetch it:   morph fetch {job.id}\n"
     )
 
 

@@ -56,7 +56,7 @@ from chamfer_morph.schemas import (
     WebhookRequest,
     WorkerStatus,
 )
-from morph_engine.errors import ConfigError, MeshError, ResultError
+from morph_engine.errors import ConfigError, MeshError, ResultError, unknown_name
 from morph_engine.files import file_sha256
 
 if TYPE_CHECKING:
@@ -187,10 +187,13 @@ class Operations:
             The job, usually queued.
 
         Raises:
+            ConfigError: A name or a value is none that can be used; told before a file is sent.
             MeshError: A file cannot be read.
         """
         targets: list[Any] = list(target) if isinstance(target, list | tuple) else [target]
-        first, *via, last = [await self._shape(shape) for shape in (source, *targets)]
+        shapes = [source, *targets]
+        await self._check_names(shapes, preset, [] if method is None else [method])
+        first, *via, last = [await self._shape(shape) for shape in shapes]
         body = _validated(
             JobRequest,
             source=first,
@@ -462,6 +465,7 @@ class Operations:
         hold: float | None = None,
         easing: Easing | None = None,
         repeat: Repeat | None = None,
+        picture: schemas.PictureOptions | None = None,
         units: Units = "user",
         fields: Iterable[str] = (),
     ) -> Path:
@@ -482,6 +486,7 @@ class Operations:
             hold: Rest at each shape [s].
             easing: Pace between two shapes.
             repeat: Whether it ends as it begins, or plays to the end and back.
+            picture: How videos and pictures are drawn.
             units: Coordinates of the files (user), of one of them, or grid units.
             fields: Names of fields to carry along.
 
@@ -501,6 +506,7 @@ class Operations:
             hold=hold,
             easing=easing,
             repeat=repeat,
+            picture=picture,
             units=units,
             fields=list(fields),
         )
@@ -557,11 +563,13 @@ class Operations:
         idempotency_key: str | None = None,
     ) -> Sweep:
         """Have every combination of sources, targets, methods and seeds computed; see `submit`."""
+        sources, targets, methods = list(sources), list(targets), list(methods)
+        await self._check_names([*sources, *targets], preset, methods)
         body = _validated(
             SweepRequest,
             sources=[await self._shape(source) for source in sources],
             targets=[await self._shape(target) for target in targets],
-            methods=list(methods),
+            methods=methods,
             seeds=list(seeds),
             preset=preset,
             overrides=dict(overrides or {}),
@@ -775,11 +783,30 @@ class Operations:
     async def _delete(self, *path: str) -> None:
         await self._connection.send("DELETE", _path(*path))
 
+    async def _check_names(
+        self, shapes: Sequence[ShapeLike], preset: str, methods: Sequence[str]
+    ) -> None:
+        """Refuse a preset or a method that the service has not, before any file is sent to it.
+
+        Raises:
+            ConfigError: There is none of that name.
+        """
+        if not any(map(_is_sent, shapes)):
+            return
+        for kind, names, listed in (
+            ("preset", [preset], Operations.presets),
+            ("method", methods, Operations.methods),
+        ):
+            known = [resource.name for resource in await listed(self)] if names else []
+            for name in names:
+                if name not in known:
+                    raise unknown_name(kind, name, known)
+
     async def _shape(self, source: ShapeLike) -> Shape:
         """The shape that a user named by a file, which is uploaded, or by a name."""
         if isinstance(source, MeshShape | BuiltInShape):
             return source
-        if isinstance(source, str) and not _is_file(source):
+        if isinstance(source, str) and not _is_sent(source):
             return BuiltInShape(shape=source)
         return MeshShape(mesh=(await Operations.upload_mesh(self, source)).id)
 
@@ -794,6 +821,13 @@ def _path(*segments: str) -> str:
         if segment in ("", ".", ".."):
             raise ServiceError(f"{segment!r} is no id.", "Look it up with morph jobs.", 404)
     return "".join(f"/{quote(segment, safe='')}" for segment in segments)
+
+
+def _is_sent(shape: ShapeLike) -> bool:
+    """Whether a shape is a file or its content, which has to be uploaded."""
+    if isinstance(shape, MeshShape | BuiltInShape):
+        return False
+    return not isinstance(shape, str) or _is_file(shape)
 
 
 def _is_file(shape: str) -> bool:

@@ -23,7 +23,7 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine import array_lifetimes, kernel_loading
+from morph_engine import array_copies, array_lifetimes, kernel_launching, kernel_loading
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
 from morph_engine.system_libraries import require_libraries
@@ -120,6 +120,7 @@ def start(
             "Set `device` to cpu or cuda, or use float32.",
         )
     array_lifetimes.begin_program()
+    kernel_launching.forget()
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
         ti.init(
@@ -131,6 +132,8 @@ def start(
             log_level=ti.ERROR,
             **options,
         )
+    array_copies.shorten()
+    kernel_launching.shorten()
     _active = wanted
     return wanted
 

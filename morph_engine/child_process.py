@@ -11,8 +11,18 @@ from pathlib import Path
 
 NICENESS = 10
 
-SECRET_PREFIXES = ("MORPH_", "AWS_", "PG", "OTEL_")
-"""Beginnings of variables that may hold passwords: of service, object store, database, traces."""
+HARMLESS = frozenset({
+    "PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "LANGUAGE", "TZ", "TMPDIR", "VIRTUAL_ENV",
+    "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "DISPLAY", "MPLCONFIGDIR",
+    "SYSTEMROOT", "WINDIR", "USERPROFILE", "LOCALAPPDATA", "TEMP", "TMP",
+})  # fmt: skip
+HARMLESS_PREFIXES = (
+    "LC_", "XDG_", "PYTHON", "FONTCONFIG_",
+    "OMP_", "KMP_", "GOMP_", "OPENBLAS_", "MKL_", "RAYON_", "MALLOC_",
+    "TI_", "ENABLE_TAICHI_", "CUDA_", "NVIDIA_",
+    "VK_", "EGL_", "LIBGL_", "MESA_", "__EGL_", "__GLX_",
+)  # fmt: skip
+"""Variables, by name and by beginning, that programs and libraries need and that hold no secret."""
 
 _RUN_MODULE = (
     "import sys; del sys.argv[0]; sys.path[:1] == [''] and sys.path.pop(0); "
@@ -33,9 +43,11 @@ def python_command(module: str, *arguments: str) -> list[str]:
 
 
 def environment_without_secrets() -> dict[str, str]:
-    """The variables of this process for a child that reads what strangers have sent."""
+    """What a child that reads what strangers have sent is told of the variables of this process."""
     return {
-        name: value for name, value in os.environ.items() if not name.startswith(SECRET_PREFIXES)
+        name: value
+        for name, value in os.environ.items()
+        if name in HARMLESS or name.startswith(HARMLESS_PREFIXES)
     }
 
 

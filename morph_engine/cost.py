@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-
 from pydantic import BaseModel, Field
 
+from morph_engine.machine_cores import usable_cores
 from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 
-STARTUP_SECONDS = 8.0
+STARTUP_SECONDS = 4.0
 MEGABYTES_AT_REST = 240.0
 BYTES_IN_RESULT = 16  # of a particle in a frame: position and det F
 PARALLEL_EFFICIENCY = 0.9
@@ -40,7 +39,7 @@ def estimate(
         threads: Of the run; all of this machine's if not given.
         nodes: Of its grid, see `MethodOptions.node_count`.
     """
-    workers = threads or os.cpu_count() or 1
+    workers = threads or usable_cores()
     rates = options_of(method).cost
     cpu_seconds = frames * (
         rates.seconds_per_frame

@@ -38,6 +38,10 @@ class ResultError(MorphError):
     """A result file or run directory is missing, damaged or of another run."""
 
 
+class DamagedError(ResultError):
+    """A result file or run directory cannot be read as it was written."""
+
+
 class DeviceError(MorphError):
     """The requested compute device cannot be used here."""
 
@@ -48,6 +52,16 @@ class SimulationError(MorphError):
 
 class ExtraError(MorphError, ImportError):
     """A package that an extra of this one installs is absent."""
+
+
+ERRORS: dict[str, type[MorphError]] = {
+    kind.__name__: kind
+    for kind in (
+        MeshError, ConfigError, ResourceError, ResultError, DamagedError, DeviceError,
+        SimulationError, ExtraError,
+    )
+}  # fmt: skip
+"""Every kind by its name, for those that another process has raised."""
 
 
 def unknown_name(

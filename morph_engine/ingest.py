@@ -93,7 +93,7 @@ def inspect_mesh(mesh: Mesh, *, fit: Fit = "auto") -> IngestReport:
     in_domain, message = fitted(mesh, fit)
     topology = Topology(mesh.vertices, mesh.faces)
     ambiguous = ambiguous_winding(mesh)
-    usable = _problem(in_domain, ambiguous, HALF_EXTENT) is None
+    usable = _problem(in_domain, ambiguous, HALF_EXTENT, mesh) is None
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
@@ -129,11 +129,12 @@ def _place_of_colors(mesh: Mesh) -> Literal["none", "corners", "textures"]:
     return "textures" if mesh.colors.textures else "corners"
 
 
-def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:
+def check_mesh(mesh: Mesh, *, own: Mesh | None = None, half_extent: float = HALF_EXTENT) -> None:
     """Refuse a mesh that cannot be filled with particles.
 
     Args:
         mesh: Mesh in grid units.
+        own: The same one in its own coordinates, which tell where it is open.
         half_extent: Half edge of the usable cube [grid units].
 
     Raises:
@@ -141,7 +142,7 @@ def check_mesh(mesh: Mesh, *, half_extent: float = HALF_EXTENT) -> None:
             at 4 per cell edge, or more than 5 % of the points around it have an ambiguous winding
             number.
     """
-    problem = _problem(mesh, ambiguous_winding(mesh), half_extent)
+    problem = _problem(mesh, ambiguous_winding(mesh), half_extent, own or mesh)
     if problem:
         raise problem
 
@@ -165,7 +166,7 @@ def ambiguous_winding(mesh: Mesh) -> float:
     return int(ambiguous.sum()) / max(int(felt.sum()), 1)
 
 
-def _problem(mesh: Mesh, ambiguous: float, half_extent: float) -> MeshError | None:
+def _problem(mesh: Mesh, ambiguous: float, half_extent: float, own: Mesh) -> MeshError | None:
     """Why a mesh cannot be used, if so."""
     if not _fits(mesh, half_extent):
         lower, upper = mesh.bounds
@@ -183,7 +184,7 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float) -> MeshError | No
     if ambiguous > AMBIGUOUS_LIMIT:
         return MeshError(
             f"{ambiguous:.0%} of the points around {mesh.name} are neither inside nor outside: "
-            f"{_diagnosis(mesh)}.",
+            f"{_diagnosis(own)}.",
             "Close the surface and make its normals agree in a mesh editor, "
             "for instance with Fill Holes and Recalculate Outside in Blender.",
         )

@@ -8,7 +8,6 @@ For example::
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +34,7 @@ from morph_engine.geometry.sampling import (
 )
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.ingest import check_mesh
+from morph_engine.machine_cores import usable_cores
 from morph_engine.machine_memory import free_memory
 from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
@@ -471,6 +471,7 @@ def _measure(outcome: FrameOutcome, record: RunRecord, threads: int) -> dict[str
         d_fwd=outcome.d_fwd,
         nearest_fwd=outcome.nearest_fwd,
         d_rev=outcome.d_rev,
+        gap=outcome.gap,
         workers=_workers(threads),
     )
     if outcome.deformation is not None:
@@ -498,7 +499,7 @@ def _measure_fill(outcome: FrameOutcome, record: RunRecord, threads: int) -> dic
 
 
 def _workers(threads: int) -> int:
-    return threads or os.cpu_count() or 1
+    return threads or usable_cores()
 
 
 class EarlyStopping:
@@ -554,7 +555,7 @@ def _points(shape: Shape, to_grid: Similarity, config: MorphConfig) -> NDArray[n
     jitter: Jitter = "published" if config.sampling.lattice == "published" else "none"
 
     def fill() -> kept_results.Arrays:
-        check_mesh(mesh, half_extent=config.domain)
+        check_mesh(mesh, own=shape, half_extent=config.domain)
         return {
             "points": sample_lattice(mesh, spacing=config.spacing, jitter=jitter, seed=config.seed)
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from chamfer_morph.schemas.catalog import ExportFormat, ParticleField, Resource
 from chamfer_morph.schemas.events import Event, EventPage
-from chamfer_morph.schemas.exports import Export, ExportRequest
+from chamfer_morph.schemas.exports import CameraKey, Export, ExportRequest, PictureOptions
 from chamfer_morph.schemas.jobs import (
     ForkOrigin,
     ForkRequest,
@@ -47,6 +47,7 @@ from chamfer_morph.schemas.workers import WorkerStatus
 
 __all__ = [
     "BuiltInShape",
+    "CameraKey",
     "Delivery",
     "DeliveryAttempt",
     "DeliveryPage",
@@ -76,6 +77,7 @@ __all__ = [
     "NewWebhook",
     "Outcome",
     "ParticleField",
+    "PictureOptions",
     "Playback",
     "Problem",
     "ProblemDocument",

@@ -34,7 +34,12 @@ class ExportFormat(BaseModel):
     kind: Literal["frame", "sequence", "table"] = Field(
         description="One frame a file, all in one, or numbers without geometry."
     )
-    carries: list[Literal["points", "surface", "fields", "tracked", "texture"]]
+    carries: list[
+        Literal["points", "surface", "fields", "tracked", "texture", "picture", "transparency"]
+    ] = Field(
+        description="What its files can hold; `picture` where it is drawn, `transparency` where "
+        "its background may be transparent."
+    )
     timed: bool = Field(
         False,
         description="Whether it may be played in a time of its own; of kind `frame` only as a "

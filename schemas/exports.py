@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
@@ -12,6 +12,49 @@ from chamfer_morph.schemas.types import Easing, Repeat, Request, Units
 
 def _is_none(value: object) -> bool:
     return value is None
+
+
+Look = Literal["clay", "porcelain", "jelly", "metal", "wax", "glass"]
+"""What things look to be made of; the same names in the page, the command line and here."""
+
+Pixels = Annotated[int, Field(ge=16, le=4096, multiple_of=2)]
+
+
+class CameraKey(Request):
+    """Where the eye is at a moment; it looks at the middle of what is shown."""
+
+    share: float = Field(ge=0, le=1, description="Of the video, from 0 to 1.")
+    azimuth: float = Field(
+        25.0, ge=-3600, le=3600, description="Turn about the upward axis [degrees]."
+    )
+    elevation: float = Field(15.0, ge=-90, le=90, description="Height above the horizon [degrees].")
+    zoom: float = Field(
+        1.0, ge=0.1, le=100, description="How many times larger than where all is in sight."
+    )
+
+
+class PictureOptions(Request):
+    """How a video or its pictures are drawn."""
+
+    width: Pixels = Field(960, description="Pixels, an even number.")
+    height: Pixels = Field(720, description="Pixels, an even number.")
+    look: Look | None = Field(
+        None, description="What things look to be made of; plain matter under one lamp if absent."
+    )
+    background: str = Field(
+        "white",
+        max_length=40,
+        description="A name, #rrggbb, or `transparent` for png, webm and mov.",
+    )
+    camera: Literal["still", "turn", "orbit"] = Field(
+        "still",
+        description="The eye rests, goes around once, or goes around, up and down on the way.",
+    )
+    camera_keys: list[CameraKey] = Field(
+        default_factory=list,
+        max_length=100,
+        description="Places that the eye goes through smoothly, in place of that.",
+    )
 
 
 class ExportRequest(Request):
@@ -64,6 +107,9 @@ class ExportRequest(Request):
         description="`loop` ends as it begins, for jobs that come back to their first shape; "
         "`ping-pong` plays to the end and back.",
         exclude_if=_is_none,
+    )
+    picture: PictureOptions | None = Field(
+        None, description="How videos and pictures are drawn.", exclude_if=_is_none
     )
     units: Units = Field(
         "user",

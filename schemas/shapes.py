@@ -17,7 +17,9 @@ class BuiltInShape(BaseModel, frozen=True, extra="forbid"):
     """A shape that needs no file."""
 
     shape: str = Field(
-        min_length=1, max_length=64, description="Name of a built-in shape, or text:WORD."
+        min_length=1,
+        max_length=65,
+        description="Name of a built-in shape, or text: and up to 60 characters.",
     )
 
 

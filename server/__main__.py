@@ -101,10 +101,12 @@ def _api_keys(settings: Settings) -> ApiKeyStore:
     from chamfer_morph.server.database.api_keys import ApiKeyStore
     from chamfer_morph.server.database.tables import create
     from chamfer_morph.worker.dbos_adapter import check_reachable, database
+    from chamfer_morph.worker.layout import check_layout
     from chamfer_morph.worker.storage import Storage
 
     Storage(settings.data_dir)
     check_reachable(settings)
+    check_layout(settings)
     engine = database(settings)
     create(engine)
     return ApiKeyStore(engine)

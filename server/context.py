@@ -22,9 +22,11 @@ from chamfer_morph.server.failure_counts import FailureCounts
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.server.turns import Turns
+from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.frame_reader import Colors
 from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.sandbox.budget import Budget
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
@@ -64,10 +66,12 @@ class ServerContext:
             self.api_keys, self.share_links, open_without_keys=is_loopback(settings.host)
         )
         self.meshes: MeshStore = MeshStore(self.engine)
+        self.adoptions: Adoptions = Adoptions(self.engine)
         self.worker_slots: WorkerSlots = WorkerSlots(self.engine)
         self.webhooks: Webhooks = Webhooks(self.engine)
         self.sweeps: SweepStore = SweepStore(self.engine)
         self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
+        self.deletions: Deletions = Deletions(self.engine, self.queue, self.storage)
         self.quotas: Quotas = Quotas(
             settings, self.queue, self.meshes, self.job_sizes, Reservations(self.engine)
         )

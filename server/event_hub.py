@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from operator import itemgetter
 
@@ -21,11 +23,14 @@ from chamfer_morph.schemas import Event, JobState
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.queue import JobQueue
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 
 POLL_SECONDS = 0.15
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
+AWAY_SECONDS = 15.0
+"""How long an object store that has not answered is not asked again, which may take long."""
+
 BATCH = 256
 """Events sent at once to who comes late."""
 
@@ -102,6 +107,27 @@ class JobFeed:
                 yield KEEPALIVE_COMMENT
 
 
+@dataclass(frozen=True, eq=False)
+class Subscription:
+    """A place among the event streams, taken until it is given back.
+
+    Attributes:
+        hub: Whose place it is.
+        job_id: The job that is followed.
+        key: Name of the key that follows it.
+        feed: What happens to the job.
+    """
+
+    hub: EventHub
+    job_id: str
+    key: str
+    feed: JobFeed
+
+    def events(self, after: int) -> AsyncIterator[bytes]:
+        """Events after an id as server-sent events, until the job rests."""
+        return self.feed.events(after, self.hub.closing)
+
+
 class EventHub:
     """All event streams."""
 
@@ -113,6 +139,7 @@ class EventHub:
         self._of_key: Counter[str] = Counter()
         self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
+        self._away_until = float("-inf")
         self._thread = anyio.CapacityLimiter(1)
         self.closing: asyncio.Event = asyncio.Event()
 
@@ -121,12 +148,28 @@ class EventHub:
         """Subscribers at this moment."""
         return sum(feed.subscribers for feed in self._feeds.values())
 
-    def check_capacity(self, key: str) -> None:
-        """Refuse one subscriber too many, of all or of a key.
+    def subscribe(self, job_id: str, key: str) -> Subscription:
+        """Take a place for a stream of a job; a key has its share of them from this moment on.
 
         Raises:
-            ProblemError: 429.
+            ProblemError: 429. There are as many as may be, of all or of the key.
         """
+        self._check_capacity(key)
+        self._of_key[key] += 1
+        feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
+        feed.subscribers += 1
+        if self._task is None or self._task.done():
+            self._task = asyncio.create_task(self._poll())
+        return Subscription(self, job_id, key, feed)
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """Give a place back, and forget the job when it was the last one."""
+        self._of_key[subscription.key] -= 1
+        subscription.feed.subscribers -= 1
+        if not subscription.feed.subscribers:
+            self._feeds.pop(subscription.job_id, None)
+
+    def _check_capacity(self, key: str) -> None:
         if self.subscribers >= self._limit or self._of_key[key] >= self._limit_per_key:
             mine = self.subscribers < self._limit
             raise ProblemError(
@@ -137,22 +180,6 @@ class EventHub:
                 "Ask for the events without Accept: text/event-stream, every few seconds.",
                 headers={"Retry-After": "10"},
             )
-
-    async def stream(self, job_id: str, after: int, key: str) -> AsyncIterator[bytes]:
-        """The events of a job as server-sent events for a key, until it rests."""
-        self._of_key[key] += 1
-        feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
-        feed.subscribers += 1
-        if self._task is None or self._task.done():
-            self._task = asyncio.create_task(self._poll())
-        try:
-            async for encoded in feed.events(after, self.closing):
-                yield encoded
-        finally:
-            self._of_key[key] -= 1
-            feed.subscribers -= 1
-            if not feed.subscribers:
-                self._feeds.pop(job_id, None)
 
     def close(self) -> None:
         """End all streams; a subscriber reconnects to the next process."""
@@ -175,8 +202,18 @@ class EventHub:
     def _read_all(self, feeds: dict[str, JobFeed]) -> None:
         states = self._queue.states(feeds)
         for job_id, feed in feeds.items():
-            self._storage.fetch(job_id, log_only=True)
+            self._fetch_log(job_id)
             feed.read(states.get(job_id))
+
+    def _fetch_log(self, job_id: str) -> None:
+        """See to it that the events of a job are here; while that fails, streams tell states."""
+        if time.monotonic() < self._away_until:
+            return
+        try:
+            self._storage.fetch(job_id, log_only=True)
+        except (OSError, StoreUnavailableError) as error:
+            self._away_until = time.monotonic() + AWAY_SECONDS
+            _LOG.warning("events cannot be fetched now: %s", error)
 
 
 def encode_event(event: Event) -> bytes:

@@ -1,8 +1,9 @@
-"""How many jobs have failed, by kind; each failure is read from the database once."""
+"""How many jobs have failed since this process began, by kind; each failure is read once."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter
 
 from chamfer_morph.worker.queue import PAGE, JobQueue
@@ -13,12 +14,18 @@ clocks differ."""
 
 
 class FailureCounts:
-    """Counts failures, those from before the start of this process included. Calls block."""
+    """Counts failures from now on. Calls block.
+
+    Those before are left out: they get fewer when jobs are deleted or queued again, which a counter
+    must not.
+    """
 
     def __init__(self, queue: JobQueue) -> None:
         self._queue = queue
+        self._begun = round(time.time() * 1000)
         self._recent: dict[str, int] = {}
         self._lock = threading.Lock()
+        self.since_last_call()
 
     def since_last_call(self) -> Counter[str]:
         """Failures of each kind that no call has counted; a job that fails twice counts twice."""
@@ -36,5 +43,5 @@ class FailureCounts:
         return counts
 
     def _newest(self) -> int:
-        """When the last failure happened that is counted [ms since 1970]."""
-        return max(self._recent.values(), default=0)
+        """When the last failure happened that is counted, or this began [ms since 1970]."""
+        return max([self._begun, *self._recent.values()])

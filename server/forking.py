@@ -13,7 +13,7 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.submission import body_digest, idempotency_conflict, idempotent_id
 from chamfer_morph.worker.kept_states import find_state
 from chamfer_morph.worker.queue import JobRecord
-from morph_engine.errors import ResultError
+from morph_engine.errors import DamagedError, ResultError
 from morph_engine.results.fork import begin_fork, forked_config
 
 
@@ -41,7 +41,8 @@ def fork(
     fork_id = idempotent_id("fork", caller, key) if key else new_id()
     known = context.queue.get(fork_id) if key else None
     if known is None:
-        with context.quotas.letting_in_jobs(caller.name):
+        letting_in = context.quotas.letting_in_jobs(caller.name)
+        with letting_in, context.deletions.noted(fork_id):
             _begin(fork_id, body, job, request, caller, context)
         context.quotas.invalidate(caller.name)
     record = known or context.queue.get(fork_id)
@@ -70,6 +71,8 @@ def _begin(
         )
     try:
         state = find_state(storage, job.id, request.frame)
+    except DamagedError:
+        raise
     except ResultError as error:
         raise ProblemError(409, error.cause, error.remedy) from error
     config = forked_config(job.spec.config, request.overrides, state.frame)

@@ -273,10 +273,10 @@ def _particle_count(name: str, solid: Solid, to_grid: Similarity, config: MorphC
             FIT_REMEDY,
         )
     volume = solid.volume * to_grid.scale**3
-    count = round(volume * config.sampling.points_per_cell_edge**3)
-    if count < MINIMUM_PARTICLES and not solid.built_in:
+    count = round(volume / config.spacing**3)
+    if count < MINIMUM_PARTICLES:
         raise MeshError(
             f"{name} has room for about {count} particles, fewer than {MINIMUM_PARTICLES}.",
-            f"Raise `sampling.points_per_cell_edge`. {FIT_REMEDY}",
+            f"Raise `sampling.points_per_cell_edge`, or lower `grid.dx`. {FIT_REMEDY}",
         )
     return count

@@ -17,8 +17,7 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import (
     ExportTraceServiceResponse,
 )
 
-PATIENCE = 600.0
-"""What a wait gives up after [s]: long, for both cores may have other work."""
+from tests.patience import PATIENCE
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import subprocess
@@ -28,6 +29,7 @@ def s3_server(log: Path) -> Iterator[tuple[str, int]]:
         server = subprocess.Popen(
             [sys.executable, "-u", "-m", "moto.server", "-H", "127.0.0.1", "-p", "0"],
             stdout=output, stderr=subprocess.STDOUT,
+            env=os.environ | {"S3_UPLOAD_PART_MIN_SIZE": "1"},  # which S3 has from 5 MiB on
         )  # fmt: skip
     try:
         while not (found := re.search(r"http://127\.0\.0\.1:(\d+)", log.read_text())):
@@ -41,7 +43,7 @@ def s3_server(log: Path) -> Iterator[tuple[str, int]]:
 
 
 class Link:
-    """A link of TCP connections to an address, which can be cut and mended.
+    """A link of TCP connections to an address, which can be cut, silenced and mended.
 
     Args:
         target: Host and port.
@@ -49,20 +51,27 @@ class Link:
     Attributes:
         port: Of 127.0.0.1, where it begins.
         refused: Requests that got the status 500.
-        delay: What comes back is held up so long, each piece of it [s].
+        delay: What goes either way is held up so long, each piece of it [s].
+        rate: What it carries, either way [bytes/s].
         cut_at: The link is cut in place of letting these bytes through, if any, the first time.
         was_cut: Set once it was.
+        silent_at: It is silenced in place of letting these bytes through, if any, the first time.
     """
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
         self._whole = threading.Event()
         self._whole.set()
+        self._passing = {back: threading.Event() for back in (False, True)}
         self._failing = False
         self.refused = 0
         self.delay = 0.0
+        self.rate = float("inf")
+        for passing in self._passing.values():
+            passing.set()
         self.cut_at = b""
         self.was_cut = threading.Event()
+        self.silent_at = b""
         self._sockets: set[socket.socket] = set()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
@@ -78,20 +87,33 @@ class Link:
         self._whole.clear()
         self._break()
 
+    def silence(self, *, there: bool = True, back: bool = True) -> None:
+        """Let nothing through, one way or both, and break no connection; what is sent meanwhile
+        arrives once the link is mended.
+        """  # noqa: D205
+        for way, silenced in ((False, there), (True, back)):
+            if silenced:
+                self._passing[way].clear()
+
     def _break(self) -> None:
         for end in [*self._sockets]:
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
 
     def mend(self) -> None:
-        """Let connections through again."""
+        """Let connections through again, at once."""
         self._failing = False
+        self.delay = 0.0
         self._whole.set()
+        for passing in self._passing.values():
+            passing.set()
 
     def close(self) -> None:
         """Accept no more connections."""
         self._listener.close()
         self.cut()
+        for passing in self._passing.values():
+            passing.set()
 
     def _accept(self) -> None:
         with suppress(OSError):  # closed
@@ -131,13 +153,17 @@ class Link:
     def _copy(self, source: socket.socket, sink: socket.socket, *, back: bool) -> None:
         with suppress(OSError):
             while data := source.recv(1 << 16):
-                if back:
-                    time.sleep(self.delay)
-                elif self.cut_at and self.cut_at in data:
+                time.sleep(self.delay)
+                if not back and self.cut_at and self.cut_at in data:
                     self.cut_at = b""
                     self.cut()
                     self.was_cut.set()
                     break
+                if not back and self.silent_at and self.silent_at in data:
+                    self.silent_at = b""
+                    self.silence()
+                time.sleep(len(data) / self.rate)
+                self._passing[back].wait()
                 sink.sendall(data)
         for end in (source, sink):
             with suppress(OSError):

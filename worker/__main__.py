@@ -1,4 +1,4 @@
-"""Processes of the worker: `python -m chamfer_morph.worker run | janitor | adopt`."""
+"""Processes of the worker: `python -m chamfer_morph.worker run | janitor | adopt | alive`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import threading
 import time
 from pathlib import Path
 
-from chamfer_morph.worker import service_log, telemetry
+from chamfer_morph.worker import liveness, service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.settings import Settings, load_settings
-from chamfer_morph.worker.slots import WorkerSlots, executor_id
+from chamfer_morph.worker.slots import WorkerSlots, executor_id, janitor_id
 from morph_engine.errors import MorphError
 
 POLL_SECONDS = 0.05
@@ -26,14 +26,7 @@ LOCK_TIMEOUT_SECONDS = 10.0
 
 def main() -> None:
     """Run one process until it is told to end."""
-    parser = argparse.ArgumentParser(prog="python -m chamfer_morph.worker", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    slot = commands.add_parser("run", help="work on jobs, one at a time")
-    slot.add_argument("--slot", type=int, default=0, help="number of this slot on this machine")
-    commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
-    adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
-    adoption.add_argument("executor")
-    arguments = parser.parse_args()
+    arguments = _parser().parse_args()
     try:
         settings = load_settings()
         service_log.set_up(settings)
@@ -42,14 +35,35 @@ def main() -> None:
         sys.exit(f"{error.cause}\n{error.remedy}")
 
 
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m chamfer_morph.worker", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    slot = commands.add_parser("run", help="work on jobs, one at a time")
+    slot.add_argument("--slot", type=int, default=0, help="number of this slot on this machine")
+    commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
+    adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
+    adoption.add_argument("executor")
+    alive = commands.add_parser("alive", help="fail unless such a process of this machine gets on")
+    alive.add_argument("process", choices=["worker", "janitor"])
+    alive.add_argument("--slot", type=int, default=0, help="number of the worker's slot")
+    return parser
+
+
 def _run(arguments: argparse.Namespace, settings: Settings) -> None:
+    if arguments.command == "alive":
+        name = executor_id(arguments.slot) if arguments.process == "worker" else janitor_id()
+        if not liveness.gets_on(settings, name):
+            sys.exit(f"The {arguments.process} does not get on.")
+        return
     from chamfer_morph.worker.dbos_adapter import check_reachable
+    from chamfer_morph.worker.layout import check_layout
     from chamfer_morph.worker.storage import open_storage
 
     runs = arguments.command == "run"
     executor = executor_id(arguments.slot) if runs else "janitor"
     storage = open_storage(settings, executor)
     check_reachable(settings)
+    check_layout(settings)
     if runs:
         telemetry.set_up("morph-worker")
         run_slot(settings, executor, storage.kept_results)
@@ -88,6 +102,7 @@ def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
     from chamfer_morph.worker.queue import JobQueue
     from chamfer_morph.worker.workflow import launch
 
+    liveness.get_on(settings, executor)
     queue = JobQueue(settings)
     queue.migrate()
     queue.close()
@@ -110,6 +125,7 @@ def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
             spare.keep()
         if time.monotonic() - last_check > LOCK_CHECK_SECONDS:
             last_check = time.monotonic()
+            liveness.get_on(settings, executor)
             if not lock.held():
                 spare.end()
                 os._exit(1)  # somebody else may take its jobs: stop at once

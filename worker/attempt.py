@@ -13,7 +13,7 @@ from pathlib import Path
 from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
-from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.job import LESS_MEMORY, JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.telemetry import EngineSpans, is_on
 from morph_engine.machine_memory import total_memory
@@ -68,7 +68,8 @@ async def run_attempt(
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
     largest = settings.job_memory_bytes or total_memory()
     engine = spare.take(spec, job_dir)
-    engine.assign(job_dir, attempt, EngineSpans(spec.frame_count) if is_on() else None)
+    spans = EngineSpans(spec.frame_count) if is_on() else None
+    engine.assign(job_dir, attempt, largest, spans)
     ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
     try:
         while not ended.done():
@@ -86,7 +87,7 @@ async def run_attempt(
     if engine.outcome is not None:
         return engine.outcome
     problem = engine.problem or _crash(ended.result(), engine, job_dir / "log.txt")
-    raise AttemptFailed(problem, engine.frames)
+    raise AttemptFailed(_without_folder(problem, job_dir.parent.parent), engine.frames)
 
 
 async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
@@ -103,6 +104,12 @@ async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
         engine.kill()
 
 
+def _without_folder(problem: Problem, folder: Path) -> Problem:
+    """The same for users, who need not know where the data directory lies."""
+    texts = {name: getattr(problem, name).replace(f"{folder}/", "") for name in ("cause", "remedy")}
+    return problem.model_copy(update=texts)
+
+
 def _hang(settings: Settings) -> Problem:
     return Problem(
         cause=f"The engine finished no frame for {settings.stall_seconds:g} s and was stopped.",
@@ -115,8 +122,7 @@ def _too_large(engine: Engine, largest: int) -> Problem:
     return Problem(
         cause=f"The engine took {engine.peak_memory / 1e6:,.0f} MB of memory, where jobs may have "
         f"{largest / 1e6:,.0f} MB, and was stopped.",
-        remedy="Lower `sampling.points_per_cell_edge`, raise `grid.dx`, or raise "
-        "MORPH_JOB_MEMORY_BYTES.",
+        remedy=LESS_MEMORY,
         kind="resources",
     )
 

@@ -25,6 +25,7 @@ from dbos._serialization import DefaultSerializer
 
 from chamfer_morph.worker.alarm import Alarm
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.postgres_timeouts import TIMEOUTS, session_options
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.tables import create_missing
 from morph_engine.errors import ConfigError
@@ -186,7 +187,9 @@ def database(settings: Settings, *, autocommit: bool = False, kept: int = CONNEC
     if settings.on_postgres:
         url = url.set(drivername="postgresql+psycopg")
         # of a pooler, statements prepared on one connection may come to another
-        arguments = {"prepare_threshold": None} if settings.database_pooler_url else {}
+        unprepared = {"prepare_threshold": None}
+        pooled = settings.database_pooler_url
+        arguments = TIMEOUTS | (unprepared if pooled else session_options(url))
         if autocommit:
             return sa.create_engine(
                 url,

@@ -1,11 +1,12 @@
 """An engine process: it computes one job. Its arguments are those of `main`.
 
 Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
-`job_dir`, `attempt` and whether it is `traced`, writes frames, checkpoint, events and result, and
-tells its worker about them in JSON lines on standard output. It computes only while it holds the
-lock of the job directory, and only as long as its worker lives: with a job, the worker sends a byte
-a second on standard input. At the end of the input, or after six silent seconds, the process ends
-at once; on STOP it makes a result of the finished frames first.
+`job_dir`, `attempt`, the `memory_bytes` that it may take and whether it is `traced`, writes frames,
+checkpoint, events and result, and tells its worker about them in JSON lines on standard output. It
+computes only while it holds the lock of the job directory, and only as long as its worker lives:
+with a job, the worker sends a byte a second on standard input. At the end of the input, or after
+six silent seconds, the process ends at once; on STOP it makes a result of the finished frames
+first.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from typing import Any
 import psutil
 
 from chamfer_morph.schemas import JobStage, Outcome, Problem
+from chamfer_morph.worker.event_log import told_frames
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
-from chamfer_morph.worker.job import JobSpec, problem_of
+from chamfer_morph.worker.job import LESS_MEMORY, JobSpec, problem_of
 from chamfer_morph.worker.kept_states import keep_state
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
@@ -36,6 +38,7 @@ from morph_engine.child_process import lower_priority
 from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
+from morph_engine.memory_limit import be_ended_first, is_out_of_memory, limit_memory
 from morph_engine.morphing import prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.results.provenance import provenance_by_now
@@ -56,6 +59,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         likely: `method` and `extent` that the job will probably have, see `warm_up`.
     """
     lower_priority()
+    be_ended_first()
     kept_results.keep_in(kept_in)
     jobs: Queue[dict[str, Any]] = Queue()
     threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
@@ -66,6 +70,8 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         spans.listen(_SpanMessages())
     job_dir = Path(job["job_dir"])
     _write_messages_to(job_dir / "log.txt")
+    if "cuda" not in backend.available_devices():  # whose driver reserves more than there is
+        limit_memory(job["memory_bytes"])
     storage = Storage(job_dir.parent.parent)
     lock = wait_for(job_dir / "lock", LOCK_SECONDS)  # an orphan of an earlier attempt may hold it
     try:
@@ -74,15 +80,19 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         _send("done", outcome.model_dump())
     except MorphError as error:
         _send("failed", problem_of(error).model_dump())
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        cause = "The engine got no more memory; jobs may have {:,.0f} MB."
         problem = Problem(
-            cause="The engine ran out of memory.",
-            remedy="Lower the points per cell edge, or run fewer jobs at a time.",
+            cause=cause.format(job["memory_bytes"] / 1e6),
+            remedy=LESS_MEMORY,
             kind="resources",
         )
         _send("failed", problem.model_dump())
     finally:
         lock.close()
+    os._exit(0)  # all is on the disk, and the worker waits for the end
 
 
 def _write_messages_to(log: Path) -> None:
@@ -121,7 +131,7 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         record, device=spec.device, threads=threads, out=out, resume=resume, overwrite=True,
         on_stage=enter,
     )  # fmt: skip
-    logged = {event.data["frame"] for event in earlier if event.type == "frame"}
+    logged = told_frames(earlier)
     for frame in frames:
         if frame.index >= resumed or frame.index not in logged:
             for event in frame.events:

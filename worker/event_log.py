@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -68,6 +69,11 @@ class EventLog:
             return []
         whole = lines if size <= TAIL_BYTES else lines[1:]
         return [event for line in whole for event in _parsed(0, line)]
+
+
+def told_frames(events: Iterable[Event]) -> set[int]:
+    """Indices of the frames that events tell of."""
+    return {event.data["frame"] for event in events if event.type == "frame"}
 
 
 def _parsed(number: int, line: bytes) -> list[Event]:

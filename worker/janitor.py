@@ -11,12 +11,16 @@ import subprocess
 import time
 from collections.abc import Callable
 
+from chamfer_morph.worker import liveness
+from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
 from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.retention.steady_clock import SteadyClock
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.slots import janitor_id
 from chamfer_morph.worker.storage import Storage, open_storage
 from chamfer_morph.worker.webhooks import delivery
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
@@ -71,7 +75,12 @@ def adopt_orphans(
 
 
 def delete_expired(
-    settings: Settings, queue: JobQueue, sizes: JobSizes, *, by_age: bool = True
+    settings: Settings,
+    queue: JobQueue,
+    sizes: JobSizes,
+    deletions: Deletions,
+    *,
+    by_age: bool = True,
 ) -> list[str]:
     """Delete finished jobs that are too old, and the oldest beyond the allowed space.
 
@@ -79,18 +88,18 @@ def delete_expired(
         settings: What is too old and too much.
         queue: The queue.
         sizes: How much disk finished jobs fill; brought up to date here.
+        deletions: Deletes them.
         by_age: Whether the clock can be believed.
 
     Returns:
         Ids of the deleted jobs.
     """
-    storage = open_storage(settings, "janitor")
     deleted: list[str] = []
 
     def delete(job: str) -> None:
         record = queue.get(job)
         sizes.forget(job)  # one that goes on meanwhile is measured again when it has finished
-        if record is not None and delete_if_unchanged(queue, storage, record):
+        if record is not None and delete_if_unchanged(queue, deletions, record):
             deleted.append(job)
 
     if settings.retention_days and by_age:
@@ -114,7 +123,7 @@ def delete_expired(
     return deleted
 
 
-def delete_if_unchanged(queue: JobQueue, storage: Storage, record: JobRecord) -> bool:
+def delete_if_unchanged(queue: JobQueue, deletions: Deletions, record: JobRecord) -> bool:
     """Delete a finished job, unless somebody has resumed, retried or deleted it since its record
     was read.
 
@@ -125,8 +134,7 @@ def delete_if_unchanged(queue: JobQueue, storage: Storage, record: JobRecord) ->
     if now is None or not now.state.finished or now.finished_at != record.finished_at:
         return False
     log.info("job %s has expired", record.id)
-    queue.delete(record.id)
-    storage.remove_job(record.id)
+    deletions.delete(record.id)
     return True
 
 
@@ -150,19 +158,28 @@ def run(settings: Settings) -> None:
     queue = JobQueue(settings)
     queue.migrate()
     storage = open_storage(settings, "janitor")
-    sizes = JobSizes(database(settings), queue, storage)
+    engine = database(settings)
+    sizes, deletions = JobSizes(engine, queue, storage), Deletions(engine, queue, storage)
     clock = SteadyClock(settings.data_dir / "locks" / "clock")
-    webhooks = Webhooks(database(settings, kept=1))
+    engine = database(settings, kept=1)
+    webhooks, adoptions = Webhooks(engine), Adoptions(engine)
     delivery.start(settings)
+
+    def adopt(executor: str) -> None:
+        adopt_in_process(executor)
+        adoptions.add(executor)
+
     next_deletion = 0.0
     while True:
+        liveness.get_on(settings, janitor_id())
         try:
-            adopt_orphans(settings, queue)
+            adopt_orphans(settings, queue, adopt)
             if time.monotonic() > next_deletion:
                 steady = clock.is_steady()
                 if settings.retention_days and not steady:
                     log.warning("the clock has jumped; for a day no job is deleted for its age")
-                delete_expired(settings, queue, sizes, by_age=steady)
+                delete_expired(settings, queue, sizes, deletions, by_age=steady)
+                deletions.finish()
                 delete_abandoned_uploads(storage)
                 webhooks.forget_old()
                 next_deletion = time.monotonic() + RETENTION_SECONDS

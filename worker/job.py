@@ -10,6 +10,11 @@ from chamfer_morph.schemas import Device, ForkOrigin, Problem, Shape
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 
+LESS_MEMORY = (
+    "Lower `sampling.points_per_cell_edge`, raise `grid.dx`, or raise MORPH_JOB_MEMORY_BYTES."
+)
+"""The remedy for a job that takes more memory than jobs may have."""
+
 
 class JobSpec(BaseModel, frozen=True, extra="forbid"):
     """Everything that a job needs, fixed when it is submitted."""

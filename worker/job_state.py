@@ -31,7 +31,7 @@ _ACTIONS: dict[JobState, frozenset[Action]] = {
 }
 
 
-def job_state(status: str, *, late: bool = False) -> JobState:
+def job_state(status: str, *, late: bool) -> JobState:
     """The state of a job.
 
     Args:

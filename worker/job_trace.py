@@ -1,4 +1,4 @@
-"""A job in traces: what of a trace lies in the queue with it, and the spans of a run of it.
+"""A job in traces and logs: what of them lies in the queue with it, and the spans of a run of it.
 
 Every run of a job, by whichever worker, is a child of the request that submitted it. One that was
 asked for by another request, to resume or retry the job, has a link to that, or is its child if the
@@ -14,20 +14,32 @@ from dataclasses import dataclass
 from typing import Any
 
 from chamfer_morph.schemas import Event
-from chamfer_morph.worker import telemetry
+from chamfer_morph.worker import service_log, telemetry
 
 QUEUED_AT, REQUEST = "queued_at", "run_request"
 """Attributes of a job beside its carrier: when it was queued last [ns]; the carrier of who did."""
 
+REQUEST_ID = "request_id"
+"""Attribute of a job: id of the request that has queued it last."""
+
 
 def of_submission() -> dict[str, Any]:
-    """What to attach to a job that is queued now; nothing without traces."""
-    return {**telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
+    """What to attach to a job that is queued now: of its request, and of traces if they are on."""
+    return _request() | (
+        {**telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
+    )
 
 
 def of_next_run() -> dict[str, Any]:
-    """What to attach to a job that is queued again now; nothing without traces."""
-    return {REQUEST: telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
+    """What to attach to a job that is queued again now."""
+    return _request() | (
+        {REQUEST: telemetry.carrier(), QUEUED_AT: time.time_ns()} if telemetry.is_on() else {}
+    )
+
+
+def _request() -> dict[str, Any]:
+    request = service_log.request_id.get()
+    return {REQUEST_ID: request} if request else {}
 
 
 @dataclass(frozen=True)

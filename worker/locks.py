@@ -17,6 +17,7 @@ import psycopg
 import sqlalchemy as sa
 
 from chamfer_morph.worker.alarm import CHANNEL
+from chamfer_morph.worker.postgres_timeouts import TIMEOUTS
 from chamfer_morph.worker.settings import Settings
 from morph_engine.files import acquire
 
@@ -82,9 +83,8 @@ class AdvisoryLock:
         """Connect and lock, or None if another session holds it."""
         plain = sa.make_url(url).set(drivername="postgresql")
         connection = psycopg.connect(
-            plain.render_as_string(hide_password=False), autocommit=True, connect_timeout=5,
-            keepalives_idle=5, keepalives_interval=2, keepalives_count=3,
-        )  # fmt: skip
+            plain.render_as_string(hide_password=False), autocommit=True, **TIMEOUTS
+        )
         digest = hashlib.sha256(f"morph worker {executor}".encode()).digest()
         number = int.from_bytes(digest[:8], "big", signed=True)
         connection.execute(f"set idle_session_timeout = '{SILENCE_SECONDS}s'")

@@ -24,7 +24,8 @@ NOBODY = "-"
 """Owner of jobs submitted without a key."""
 
 ENQUEUED: sa.ColumnElement[str] = sa.literal_column("'ENQUEUED'")
-"""Not as a parameter, for which SQLite uses no partial index."""
+PENDING: sa.ColumnElement[str] = sa.literal_column("'PENDING'")
+"""Not as parameters, for which SQLite uses no partial index."""
 
 _PAUSED_OWNERS = sa.Table(
     "morph_paused_owners",
@@ -127,7 +128,7 @@ class OwnQueue:
         with self._workflows.begin() as connection:
             connection.execute(
                 sa.update(self._workflows.table)
-                .where(c.queue_name == elsewhere, c.status == ENQUEUED, self._is_of(owner))
+                .where(c.queue_name == elsewhere, self._is_queued, self._is_of(owner))
                 .values(queue_name=queue)
             )
 
@@ -138,10 +139,16 @@ class OwnQueue:
         first = c.attributes["first"].as_string()
         return (
             sa.select(c.workflow_uuid, c.priority, priority, first)
-            .where(c.name == WORKFLOW, c.queue_name == queue, c.status == ENQUEUED)
+            .where(c.name == WORKFLOW, c.queue_name == queue, self._is_queued)
             .where(self._is_of(owner))
             .order_by(c.created_at, c.workflow_uuid)
         )
+
+    @property
+    def _is_queued(self) -> sa.ColumnElement[bool]:
+        """Whether a job is queued, with the words of DBOS's index, which SQLite wants to read."""
+        c = self._workflows.table.c
+        return c.status.in_([ENQUEUED, PENDING]) & (c.status == ENQUEUED)
 
     def _is_of(self, owner: str) -> sa.ColumnElement[bool]:
         """Not by the index of owners: few jobs are left by the other conditions."""

@@ -40,6 +40,7 @@ from chamfer_morph.worker.own_queue import (
     ENQUEUED,
     NOBODY,
     PAUSED_QUEUE,
+    PENDING,
     QUEUE,
     WORKFLOW,
     OwnQueue,
@@ -63,8 +64,6 @@ UNREADABLE = Problem(
     remedy="Resume it: what it has computed is reported again.",
     kind="internal",
 )
-
-_PENDING: sa.ColumnElement[str] = sa.literal_column("'PENDING'")
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -463,7 +462,7 @@ class JobQueue:
         """Ids of the running jobs by the worker slot that holds them."""
         c = self._table.c
         query = self._select(c.executor_id, c.workflow_uuid).where(
-            self._in_flight, c.status == _PENDING
+            self._in_flight, c.status == PENDING
         )
         jobs: dict[str, set[str]] = {}
         for executor, job_id in self._rows(query):
@@ -506,7 +505,7 @@ class JobQueue:
     def _next_place(self, owner: str) -> int:
         """Place in the queue of the next job of an owner."""
         c = self._table.c
-        queued, running = c.status == ENQUEUED, c.status == _PENDING
+        queued, running = c.status == ENQUEUED, c.status == PENDING
         last = self._select(sa.func.max(c.priority)).where(self._in_flight)
         query = sa.select(
             last.where(self._and_owned_by(owner)).scalar_subquery(),
@@ -551,13 +550,13 @@ class JobQueue:
     def _in_flight(self) -> sa.ColumnElement[bool]:
         """Whether a job is queued or running, in the words of DBOS's index of these."""
         c = self._table.c
-        return (c.queue_name == QUEUE) & c.status.in_([ENQUEUED, _PENDING])
+        return (c.queue_name == QUEUE) & c.status.in_([ENQUEUED, PENDING])
 
     @property
     def _unfinished(self) -> sa.ColumnElement[bool]:
         """The same with the jobs of owners who have paused."""
         c = self._table.c
-        return c.queue_name.in_([QUEUE, PAUSED_QUEUE]) & c.status.in_([ENQUEUED, _PENDING])
+        return c.queue_name.in_([QUEUE, PAUSED_QUEUE]) & c.status.in_([ENQUEUED, PENDING])
 
     def _owned_by(self, owner: str) -> sa.ColumnElement[bool]:
         return self._table.c.authenticated_user == (owner or NOBODY)

@@ -14,6 +14,9 @@ from chamfer_morph.worker.settings import Settings
 job_id: ContextVar[str] = ContextVar("job_id", default="")
 """The job that is worked on; empty where there is none."""
 
+request_id: ContextVar[str] = ContextVar("request_id", default="")
+"""The request that is answered, or that the job was last queued by; empty where there is none."""
+
 TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 TOLD = ("chamfer_morph.audit", "chamfer_morph.jobs")
@@ -33,9 +36,9 @@ def set_up(settings: Settings) -> None:
 class JsonFormatter(logging.Formatter):
     """A line is one JSON object.
 
-    It has `time` in UTC, `level`, `logger`, `message`, `job` where the line is about one,
-    `trace_id` and `span_id` where a span is active, `error` with the traceback where there is one,
-    and what the caller gave as `extra={"fields": {...}}`.
+    It has `time` in UTC, `level`, `logger`, `message`, `job` where the line is about one, `request`
+    that is answered or has queued the job, `trace_id` and `span_id` where a span is active, `error`
+    with the traceback where there is one, and what the caller gave as `extra={"fields": {...}}`.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -48,6 +51,8 @@ class JsonFormatter(logging.Formatter):
         }
         if job := job_id.get():
             line["job"] = job
+        if request := request_id.get():
+            line["request"] = request
         line |= telemetry.ids()
         fields = getattr(record, "fields", None)
         line |= fields if fields is not None else {}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, DotEnvSettingsSource, SettingsConfigDict
 
 from morph_engine.errors import ConfigError
 
@@ -214,11 +214,13 @@ def load_settings() -> Settings:
     """The settings of this process.
 
     Raises:
-        ConfigError: A variable is unknown, or its value cannot be used.
+        ConfigError: A variable of the environment or of .env is unknown, or its value cannot be
+            used.
     """
     known = [f"MORPH_{name.upper()}" for name in Settings.model_fields]
     others = {f"MORPH_{name}" for name in OTHER_VARIABLES}
-    for name in sorted(os.environ):
+    in_file = DotEnvSettingsSource(Settings).env_vars  # in lower case, as names have none here
+    for name in sorted({*os.environ, *map(str.upper, in_file)}):
         if name.startswith("MORPH_") and name not in {*known, *others}:
             closest = difflib.get_close_matches(name, known, 1, 0.0)[0]
             raise ConfigError(

@@ -19,7 +19,16 @@ _TABLE = sa.Table(
 
 def executor_id(slot: int) -> str:
     """Name of a slot of this machine."""
-    return f"{re.sub(r'[^A-Za-z0-9.-]', '-', socket.gethostname())}-slot{slot}"
+    return f"{_host()}-slot{slot}"
+
+
+def janitor_id() -> str:
+    """Name of the janitor of this machine."""
+    return f"{_host()}-janitor"
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9.-]", "-", socket.gethostname())
 
 
 class WorkerSlots:

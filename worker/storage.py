@@ -10,8 +10,9 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,20 @@ DISCARD = "discard-"
 
 class StoreUnavailableError(MorphError):
     """The object store does not answer, or answers with an error."""
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file that another host has published and this one does not have.
+
+    Attributes:
+        size: Its size [bytes].
+        read: Yields its bytes from one place to another, part by part; it raises
+            StoreUnavailableError, and FileNotFoundError where the file has gone.
+    """
+
+    size: int
+    read: Callable[[int, int], Iterator[bytes]]
 
 
 class OwnershipLostError(Exception):
@@ -151,6 +166,14 @@ class Storage:
         Raises:
             StoreUnavailableError: The object store does not answer.
         """
+
+    def remote_result(self, job_id: str) -> RemoteFile | None:
+        """The result file of a job, where other hosts have it and this one does not.
+
+        Raises:
+            StoreUnavailableError: The object store does not answer.
+        """
+        return None
 
     def claim(self, job_id: str, wait_seconds: float) -> None:
         """Take the files of a job over from whoever worked on it last, who cannot publish any more.

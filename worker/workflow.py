@@ -113,15 +113,18 @@ async def compute(spec: dict[str, Any]) -> dict[str, Any]:
     job_id = DBOS.workflow_id
     assert job_id is not None
     service_log.job_id.set(job_id)
-    attributes = await _attributes(job_id) if telemetry.is_on() else {}
+    attributes = await _attributes(job_id)
+    service_log.request_id.set(str(attributes.get(job_trace.REQUEST_ID, "")))
     with job_trace.run_of(job_id, attributes, _executor) as run:
         return await _compute(job_id, JobSpec.model_validate(spec), run)
 
 
 async def _attributes(job_id: str) -> dict[str, Any]:
-    """What is attached to the job."""
-    status = await DBOS.get_workflow_status_async(job_id)
-    return (status and status.attributes) or {}
+    """What is attached to the job, for logs and traces; nothing while the database is away."""
+    with contextlib.suppress(DBAPIError):
+        status = await DBOS.get_workflow_status_async(job_id)
+        return (status and status.attributes) or {}
+    return {}
 
 
 async def _compute(job_id: str, spec: JobSpec, run: job_trace.Run) -> dict[str, Any]:
@@ -158,9 +161,10 @@ async def _attempt(storage: Storage, job_id: str, spec: JobSpec, run: job_trace.
             with telemetry.span("attempt", {"morph.attempt": attempt}):
                 async with publishing(storage, job_id) as publication:
                     beat = partial(_heartbeat, publication)
-                    outcome = await run_attempt(
-                        storage.job_dir(job_id), attempt, _settings, _spare, beat
-                    )
+                    with _explaining():
+                        outcome = await run_attempt(
+                            storage.job_dir(job_id), attempt, _settings, _spare, beat
+                        )
             _tell("done", attempt=attempt, worker=_executor)
             return outcome
         except AttemptFailed as failure:
@@ -215,7 +219,7 @@ def _explaining() -> Iterator[None]:
 def _disk_refuses(error: OSError) -> Problem:
     return Problem(
         cause=f"The job's folder cannot be written ({error.strerror or error}).",
-        remedy="See that the service's disk has room, then resume the job.",
+        remedy="See that the service's disk has room and can be written, then resume the job.",
         kind="resources",
     )
 

@@ -6,7 +6,6 @@ In both, `JobQueue`, the states, the order of jobs, the locks and the janitor ar
 from __future__ import annotations
 
 from collections.abc import Collection
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +13,7 @@ from dbos import error as dbos_error
 
 from benchmarks.histories.memory_queue import MemoryQueue, MemoryStorage
 from chamfer_morph.schemas import Outcome
-from chamfer_morph.worker import locks
+from chamfer_morph.worker import event_log, locks
 from chamfer_morph.worker.dbos_adapter import SERIALIZER
 from chamfer_morph.worker.own_queue import QUEUE
 from chamfer_morph.worker.queue import APPLICATION_VERSION, JobQueue
@@ -40,11 +39,21 @@ class Ground(Protocol):
     def queue_again(self, slot: str) -> None:
         """What a DBOS process of this name does with its jobs at its start."""
 
-    def begin(self, job: str) -> bool:
-        """What a worker does first; returns whether there are frames of before."""
+    def begin(self, job: str) -> int:
+        """What an engine does first: tell of frames of before that nobody was told of.
 
-    def add_frame(self, job: str) -> None:
-        """Compute something."""
+        Returns:
+            How many frames of before there are.
+        """
+
+    def save_frame(self, job: str) -> None:
+        """Compute the next frame; events do not tell of it yet."""
+
+    def tell(self, job: str) -> None:
+        """Tell of the last frame."""
+
+    def events(self, job: str) -> list[int]:
+        """Indices of the frames that events tell of, in the order of their ids."""
 
     def remove(self, job: str) -> None:
         """Delete what a job has left."""
@@ -96,15 +105,31 @@ class DatabaseGround:
         for pending in self.dbos.get_pending_workflows(slot, APPLICATION_VERSION):
             self.dbos.reenqueue_for_recovery(pending.workflow_id, [slot], QUEUE)
 
-    def begin(self, job: str) -> bool:
+    def begin(self, job: str) -> int:
         self.storage.discard_if_marked(job, wait_seconds=0)
-        folder = self.storage.job_dir(job)
-        folder.mkdir(exist_ok=True)
-        return (folder / "frames").exists()
+        self.storage.job_dir(job).mkdir(exist_ok=True)
+        count, log = self._frames(job), self.storage.events(job)
+        told = event_log.told_frames(log.read())
+        for frame in range(count):
+            if frame not in told:
+                log.append("frame", {"frame": frame})
+        return count
 
-    def add_frame(self, job: str) -> None:
-        with suppress(FileNotFoundError):
-            (self.storage.job_dir(job) / "frames").touch()
+    def save_frame(self, job: str) -> None:
+        with (self.storage.job_dir(job) / "frames").open("ab") as file:
+            file.write(b".")
+
+    def tell(self, job: str) -> None:
+        self.storage.events(job).append("frame", {"frame": self._frames(job) - 1})
+
+    def events(self, job: str) -> list[int]:
+        return [event.data["frame"] for event in self.storage.events(job).read()]
+
+    def _frames(self, job: str) -> int:
+        try:
+            return (self.storage.job_dir(job) / "frames").stat().st_size
+        except FileNotFoundError:
+            return 0
 
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)
@@ -139,13 +164,21 @@ class MemoryGround:
     def queue_again(self, slot: str) -> None:
         self.dbos.queue_again(slot)
 
-    def begin(self, job: str) -> bool:
+    def begin(self, job: str) -> int:
         self.storage.discard_if_marked(job, wait_seconds=0)
-        self.storage.make(job)
-        return self.storage.has_frames(job)
+        folder = self.storage.make(job)
+        folder.told += [frame for frame in range(folder.frames) if frame not in folder.told]
+        return folder.frames
 
-    def add_frame(self, job: str) -> None:
-        self.storage.add_frame(job)
+    def save_frame(self, job: str) -> None:
+        self.storage.make(job).frames += 1
+
+    def tell(self, job: str) -> None:
+        folder = self.storage.make(job)
+        folder.told.append(folder.frames - 1)
+
+    def events(self, job: str) -> list[int]:
+        return [*self.storage.make(job).told]
 
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)

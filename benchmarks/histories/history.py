@@ -139,6 +139,7 @@ class World:
         self._jobs: list[str] = []
         self._owners: dict[str, str] = {}
         self._fresh: set[str] = set()  # to be computed from the beginning
+        self._frames: Counter[str] = Counter()  # computed since it was to begin from the beginning
         self._outcomes: dict[str, str] = {}  # token of the run whose outcome stands
         self._last_token: dict[str, str] = {}  # of the run that each job was given to last
         self._runs: dict[str, Run | None] = dict.fromkeys(SLOTS)
@@ -221,17 +222,33 @@ class World:
             raise Violation("a job is given to a second worker while the first lives")
         self._runs[slot], self._last_token[run.job] = run, run.token
         self.seen.append(run.job)
-        began_with_frames = self.ground.begin(run.job)
-        if run.job in self._fresh and began_with_frames:
+        frames = self.ground.begin(run.job)
+        if run.job in self._fresh:
+            self._fresh.discard(run.job)
+            self._frames[run.job] = 0
+        if frames > self._frames[run.job]:
             raise Violation("a retried job begins with frames of before")
-        self._fresh.discard(run.job)
+        if frames < self._frames[run.job]:
+            raise Violation("more is computed again than the frame that was under way")
+        self._check_events(run.job)
 
     def _compute(self) -> None:
         for run in self._holders():
             if self.ground.owns(run.job, run.token):
-                self.ground.add_frame(run.job)
+                self._save_frame(run.job)
+                self.ground.tell(run.job)
+                self._check_events(run.job)
             else:
                 self._leave(run)
+
+    def _save_frame(self, job: str) -> None:
+        self.ground.save_frame(job)
+        self._frames[job] += 1
+
+    def _check_events(self, job: str) -> None:
+        """Each frame is told of once, in their order."""
+        if self.ground.events(job) != [*range(self._frames[job])]:
+            raise Violation("events do not tell of each frame once, in their order")
 
     def _publish(self) -> str | None:
         return self._end("SUCCESS")
@@ -260,7 +277,12 @@ class World:
         return None
 
     def _crash(self) -> None:
-        self._end_slot(self.chance.choice(SLOTS))
+        """Within a frame, which is lost, or after it and before anybody is told of it."""
+        slot = self.chance.choice(SLOTS)
+        run, saved = self._runs[slot], self.chance.choice((False, True))
+        if saved and run is not None and self.ground.owns(run.job, run.token):
+            self._save_frame(run.job)
+        self._end_slot(slot)
 
     def _lose_lock(self) -> None:
         """As Postgres takes it from a worker that has been silent; the worker does not know."""

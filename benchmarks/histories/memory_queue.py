@@ -195,7 +195,8 @@ class MemoryOwnQueue:
 class Folder:
     """What a job has left."""
 
-    frames: bool = False
+    frames: int = 0
+    told: list[int] = field(default_factory=list)
     marks: set[str] = field(default_factory=set)
 
 
@@ -208,13 +209,6 @@ class MemoryStorage:
 
     def make(self, job: str) -> Folder:
         return self._folders.setdefault(job, Folder())
-
-    def has_frames(self, job: str) -> bool:
-        return self._folders[job].frames
-
-    def add_frame(self, job: str) -> None:
-        if job in self._folders:
-            self._folders[job].frames = True
 
     def mark_for_discard(self, job: str) -> str:
         mark = str(next(self._numbers))

@@ -17,7 +17,7 @@ import httpx
 import psutil
 
 from benchmarks.service.latency import seconds
-from benchmarks.service.local_service import LocalService, job_document, submit
+from benchmarks.service.local_service import LocalService, job_document, processes, submit
 from benchmarks.service.measurement import Measurement
 from chamfer_morph.worker.storage import Storage
 
@@ -106,8 +106,7 @@ def wait_until_idle(supervisor: psutil.Process) -> None:
 def engine_states(supervisor: psutil.Process) -> list[str]:
     """What the engine processes of a service do: run, sleep and so on."""
     states = []
-    for process in supervisor.children(recursive=True):
+    for process in processes(supervisor, "chamfer_morph.worker.engine_process"):
         with suppress(psutil.Error):  # it has ended
-            if "chamfer_morph.worker.engine_process" in process.cmdline():
-                states.append(process.status())
+            states.append(process.status())
     return states

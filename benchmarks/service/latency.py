@@ -1,4 +1,4 @@
-"""How soon an idle worker starts a job, and how soon a watcher hears of an event.
+"""How soon an idle worker starts a job, a watcher hears of an event, and all ends when told to.
 
 Small jobs follow one another. Each has a watcher; an event's lag is the time from its line in the
 log, which tells when it was written, to its arrival. Both ends read the clock of this machine.
@@ -14,7 +14,13 @@ from statistics import median
 
 import httpx
 
-from benchmarks.service.local_service import LocalService, job_document, job_request, submit
+from benchmarks.service.local_service import (
+    STOP_SECONDS,
+    LocalService,
+    job_document,
+    job_request,
+    submit,
+)
 from benchmarks.service.measurement import Measurement
 
 JOBS = 15
@@ -25,7 +31,7 @@ def measure(service: LocalService) -> list[Measurement]:
     """Submit, watch and wait, again and again."""
     starts, lags = [], []
     chance = random.Random(0)
-    with service.served(workers=1) as (api, _):
+    with service.served(workers=1) as (api, supervisor):
         watch(api, submit(api, job_request(FRAMES)))  # the kernels are compiled once
         for _ in range(JOBS):
             time.sleep(0.5 + chance.random())  # idle, and out of step with the worker's looks
@@ -36,9 +42,14 @@ def measure(service: LocalService) -> list[Measurement]:
             if shown["state"] != "succeeded":
                 raise RuntimeError(f"{job} is {shown['state']}: {shown['problem']}")
             starts.append(seconds(shown["started_at"]) - submitted)
+        told = time.monotonic()
+        supervisor.terminate()
+        supervisor.wait(STOP_SECONDS)
+        stop = time.monotonic() - told
     return [
         median_of("submit to running", starts, 1),
         median_of("event to watcher", lags, 0.5),
+        Measurement("told to end to ended", stop, 10, "s"),
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import quantiles
 from typing import Literal
 
 from benchmarks.comparison import number
@@ -43,6 +44,11 @@ class Measurement:
 def counted(what: str, count: int, allowed: int, note: str = "") -> Measurement:
     """A number of things, at most so many."""
     return Measurement(what, count, allowed, "", note, inclusive=True)
+
+
+def percentile(values: Sequence[float], percent: int) -> float:
+    """The value that so many percent do not exceed."""
+    return quantiles(values, n=100, method="inclusive")[percent - 1]
 
 
 def table(figures: Sequence[Measurement]) -> str:

@@ -140,6 +140,7 @@ def export(
         "tracked": tracked,
         "texture": texture,
         "timing": playback.timing(fps),
+        "picture": None,
         "fields": parse_list(fields),
     }
     exports.check(name, **content)

@@ -29,7 +29,7 @@ def inspect(
     shape = resolve_shape(mesh)
     report = inspect_mesh(shape, fit=fit)
     try:
-        check_mesh(fitted(shape, fit)[0])
+        check_mesh(fitted(shape, fit)[0], own=shape)
     except MorphError as error:
         if as_json:
             print_json(report.model_dump(mode="json") | error_document(error))

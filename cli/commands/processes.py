@@ -47,6 +47,9 @@ def worker(
     gpus: Annotated[
         str | None, typer.Option(metavar="all|0,2", help="A worker for each of these GPUs.")
     ] = None,
+    first_slot: Annotated[
+        int, typer.Option(min=0, help="Number of the first slot; others run on this machine.")
+    ] = 0,
     data_dir: DataDirOption = None,
 ) -> None:
     """Join this machine to the service of MORPH_DATABASE_URL and MORPH_DATA_DIR.
@@ -58,13 +61,14 @@ def worker(
 
     if slots is not None and gpus is not None:
         raise ConfigError("--slots and --gpus exclude each other.", "Give one of them.")
-    environment = _environment({"DATA_DIR": data_dir})
-    if gpus is None:
-        processes = [worker_slot(number, environment) for number in range(slots or 1)]
+    chosen = None if gpus is None else chosen_gpus(gpus)
+    count = (slots or 1) if chosen is None else len(chosen)
+    environment = _environment({"DATA_DIR": data_dir, "WORKERS": count})  # they share the cores
+    if chosen is None:
+        processes = [worker_slot(first_slot + number, environment) for number in range(count)]
     else:
         processes = [
-            worker_slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu})
-            for gpu in chosen_gpus(gpus)
+            worker_slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu}) for gpu in chosen
         ]
     stop = StopSignals()
     supervise(processes, stop)

@@ -14,6 +14,7 @@ from morph_engine.export import csv, glb, html, npz, obj, pc2, ply, splat, stl, 
 from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
+from morph_engine.rendering.picture_options import PictureOptions
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.run_record import Units
 from morph_engine.results.selection import Selection, check_snap
@@ -54,6 +55,7 @@ class Content(TypedDict):
     tracked: bool
     texture: int | None
     timing: Timing | None
+    picture: PictureOptions | None
     fields: Sequence[str]
 
 
@@ -93,6 +95,7 @@ def export(
     texture: int | None = None,
     fps: float | None = None,
     timing: Timing | None = None,
+    picture: PictureOptions | None = None,
     units: Units = "user",
     fields: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
@@ -119,6 +122,7 @@ def export(
         fps: Frames per second of an animation, 24 by default and 12 in videos.
         timing: Duration, rests, pace and repetition of a video, of a tracked surface or of a page,
             of all frames; it has frames per second of its own.
+        picture: How pictures and videos are drawn; None for the usual way.
         units: ``user`` for the coordinates of the user's own files, from those of the source in the
             beginning to those of the target at the end; ``source`` or ``target`` for those of
             either all the time; ``grid`` for grid units.
@@ -144,6 +148,7 @@ def export(
         fields=fields,
         frames=frames,
         timing=timing,
+        picture=picture,
     )
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
     if tracked and path.suffix.lower() != chosen.suffix:
@@ -161,6 +166,7 @@ def export(
             texture=texture,
             fps=fps,
             timing=timing,
+            picture=picture,
             units=units,
             fields=tuple(fields),
             watch=watch,
@@ -199,6 +205,7 @@ def check(
     fields: Sequence[str] = (),
     frames: Sequence[int] | None = None,
     timing: Timing | None = None,
+    picture: PictureOptions | None = None,
 ) -> None:
     """Refuse what a format cannot hold, before anything is computed; arguments as for `export`.
 
@@ -216,6 +223,8 @@ def check(
         )
     if texture is not None:
         _check_texture(format, texture, tracked=tracked)
+    if picture:
+        _check_picture(chosen, picture)
     if timing and frames is not None:
         raise ConfigError(
             "What is played for a given time shows the whole run, not chosen frames.",
@@ -246,6 +255,16 @@ def check(
     raise ConfigError(
         f"{chosen.name} holds no {lacking}.", f"Formats that do are {', '.join(able)}."
     )
+
+
+def _check_picture(format: Format, picture: PictureOptions) -> None:
+    if "picture" not in format.carries:
+        drawn = [name for name, known in FORMATS.items() if "picture" in known.carries]
+        raise ConfigError(
+            f"{format.name} holds geometry, of which no picture is drawn.",
+            f"Formats that are drawn are {', '.join(drawn)}.",
+        )
+    picture.check(format.name)
 
 
 def _check_texture(format: str, size: int, *, tracked: bool) -> None:

@@ -23,8 +23,9 @@ class Format:
         kind: ``frame`` for one frame in a file, ``sequence`` for many, ``table`` for numbers
             without geometry.
         carries: What its files can hold: ``points``, ``surface``, ``fields``, ``tracked``, a
-            surface of the same triangles in all frames of one file, and ``texture``, its colours
-            as pictures.
+            surface of the same triangles in all frames of one file, ``texture``, its colours as
+            pictures; ``picture`` where it is drawn and not geometry, and ``transparency`` where
+            nothing has to be behind it.
         timed: Whether it is played, and may have a time of its own.
         extra: The extra of this package that it needs, if any.
         description: What it is, and which programs open it.

@@ -6,8 +6,9 @@ from functools import partial
 from pathlib import Path
 
 from morph_engine.export.format import Format
+from morph_engine.rendering.picture_options import PictureOptions
 from morph_engine.rendering.pictures import video
-from morph_engine.rendering.video_encoder import VideoKind
+from morph_engine.rendering.video_encoder import TRANSPARENT_KINDS, VideoKind
 from morph_engine.results.selection import Selection
 
 FRAMES_PER_SECOND = 12.0
@@ -25,6 +26,7 @@ def write(selection: Selection, path: Path, *, kind: VideoKind) -> None:
         fps=selection.fps or FRAMES_PER_SECOND,
         timing=selection.timing,
         kind=kind,
+        **vars(selection.picture or PictureOptions()),
         watch=selection.watch,
     )
 
@@ -42,7 +44,8 @@ def _format(
         suffix=suffix or f".{name}",
         media_type=media_type,
         kind="sequence",
-        carries=frozenset({"points", "surface", "fields"}),
+        carries=frozenset({"points", "surface", "fields", "picture"})
+        | ({"transparency"} if name in TRANSPARENT_KINDS else frozenset()),
         timed=True,
         extra=extra,
         description=description,

@@ -3,14 +3,15 @@ from .body import Body as Body
 from .body import BodyPath as BodyPath
 from .body import fine_axis as fine_axis
 from .contact import LayerArrays as LayerArrays
-from .contact import blend as blend
+from .contact import layer_arrays as layer_arrays
 from .contact import prepare as prepare
 from .correspondence import Controls as Controls
 from .correspondence import Correspondence as Correspondence
 from .correspondence import match as match
 from .correspondence import sample_controls as sample_controls
+from .nearest_gap import NearestGap as NearestGap
+from .node_box import NodeBox as NodeBox
 from .projection import Projection as Projection
-from .projection import clear as clear
 from .settling import Settling as Settling
 from .stray_pieces import StrayPieces as StrayPieces
 from .warp import Warp as Warp

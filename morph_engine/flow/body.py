@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from morph_engine.flow.carrier import FAR, REFINEMENT, Carrier
 from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
+from morph_engine.flow.node_box import NodeBox
 from morph_engine.flow.warp import Warp
 from morph_engine.mpm import Grid
 
@@ -60,10 +61,12 @@ class Body:
             order near the surface, and to the nearest node inside from farther out.
         mass: What a node shall hold, over what a node deep inside holds at the source's density,
             shape [r, r, r].
+        box: The nodes that shall hold any.
     """
 
     level: Field
     mass: Field
+    box: NodeBox
 
 
 def fine_axis(grid: Grid) -> NDArray[np.float64]:
@@ -129,7 +132,7 @@ class BodyPath:
         level = self._leading_back(level)
         whole = np.full((REFINEMENT * (self._grid.resolution - 1) + 1,) * 3, FAR, np.float32)
         whole[self._box] = level
-        return Body(whole, self._mass(*self._smoothed(whole)))
+        return Body(whole, *self._mass(*self._smoothed(whole)))
 
     def _as_distance(self, level: Field) -> Field:
         """Divide the level by its slope."""
@@ -176,16 +179,14 @@ class BodyPath:
             indicator = scipy.ndimage.convolve1d(indicator, SPLINE, axis=axis, mode="constant")
         return indicator, box
 
-    def _mass(self, indicator: Field, box: Box) -> Field:
-        """The matter at nodes, all of it."""
+    def _mass(self, indicator: Field, box: Box) -> tuple[Field, NodeBox]:
+        """The matter at nodes, all of it, and the nodes that have it."""
         mass = np.zeros((self._grid.resolution,) * 3, np.float32)
         nodes = indicator[::REFINEMENT, ::REFINEMENT, ::REFINEMENT]
-        corner = tuple(
-            slice(s.start // REFINEMENT, s.start // REFINEMENT + n)
-            for s, n in zip(box, nodes.shape, strict=True)
-        )
-        mass[corner] = nodes
-        return mass * np.float32(self._matter / mass.sum(dtype=np.float64))
+        low = np.array([along.start // REFINEMENT for along in box])
+        held = NodeBox(low, low + nodes.shape)
+        mass[tuple(map(slice, held.low, held.high))] = nodes
+        return mass * np.float32(self._matter / mass.sum(dtype=np.float64)), held
 
 
 def _carried(carrier: Carrier, width: float) -> Callable[[float], Field]:

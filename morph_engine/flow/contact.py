@@ -8,6 +8,7 @@ from typing import Any
 import taichi as ti
 
 from morph_engine.flow.carrier import REFINEMENT
+from morph_engine.mpm.state import Layer
 
 SMALLEST = 1e-12
 
@@ -17,6 +18,11 @@ LayerArrays: Any = ti.types.argpack(**dict.fromkeys(("x", "v", "C", "F"), ti.typ
 DEEPEST = 0.3
 """What the surface presses a particle back in a time step, at most [cells]; less where a frame has
 so many steps that a particle would be thrown."""
+
+
+def layer_arrays(layer: Layer) -> Any:
+    """Those arrays of a layer as one argument of a kernel."""
+    return LayerArrays(x=layer.x, v=layer.v, C=layer.C, F=layer.F)
 
 
 @ti.func
@@ -94,10 +100,3 @@ def prepare(
         layer.C[p] *= momentum
         volume_ratio[p] *= layer.F[p].determinant()
         layer.F[p] = relaxed(layer.F[p], elasticity)
-
-
-@ti.kernel
-def blend(out: ti.types.ndarray(), a: ti.types.ndarray(), b: ti.types.ndarray(), share: float):
-    """out = (1 - share) a + share b."""
-    for i in range(out.shape[0]):
-        out[i] = (1 - share) * a[i] + share * b[i]

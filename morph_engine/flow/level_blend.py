@@ -105,7 +105,7 @@ class Blend:
 def rounded(level: Field, width: float) -> Field:
     """Smooth a level by a Gaussian of some width [lattice steps]."""
     near = np.minimum(level, np.float32(FARTHEST))
-    smooth: Field = scipy.ndimage.gaussian_filter(near, width, mode="nearest")
+    smooth: Field = scipy.ndimage.gaussian_filter(near, width, mode="nearest", truncate=3.0)
     return smooth
 
 

@@ -12,31 +12,29 @@ other parity, so the number of threads changes no bit.
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 from morph_engine import backend
 
-COARSEST = 10
-"""The coarsest grid has at most so many nodes an axis."""
+SMALLEST_SHARED_CPU = 40
+SMALLEST_SHARED_GPU = 11
+"""Threads share out the rows of a grid with at least so many nodes an axis."""
 
-SMALLEST_SHARED = 40
-"""Threads of a CPU share out the rows of a grid with at least so many nodes an axis."""
-
-SWEEPS = 4
-"""Symmetric Gauss-Seidel sweeps on the coarsest grid."""
-
-SELF_WEIGHT = 1e-6
+SELF_WEIGHT = 1e-5
 """Of a row with itself, which makes a solution unique where no wall holds the pressure."""
 
 System: Any = ti.types.argpack(
-    **dict.fromkeys(("index", "node", "parent", "odd", "counts"), ti.types.ndarray()),
+    **dict.fromkeys(("index", "node", "parent", "odd"), ti.types.ndarray()),
+    **dict.fromkeys(("counts", "first", "per_axis"), ti.types.ndarray()),
     **dict.fromkeys(("neighbors", "weights", "children"), ti.types.ndarray()),
-    **dict.fromkeys(("diagonal", "r", "z"), ti.types.ndarray()),
+    **dict.fromkeys(("self_weight", "diagonal", "r", "z"), ti.types.ndarray()),
 )
 """All levels one after the other. Of nodes: their row, or -1. Of rows: the node, the coarser row
-that stands for it, 1 where the sum of its coordinates is odd, six neighbours (itself where there is
-none), the weights of the faces, eight finer rows or -1, the diagonal, right-hand side and solution.
-And how many rows each level has."""
+that stands for it, 1 where the sum of its coordinates is odd. Of levels: how many rows they have,
+where their nodes and rows begin, nodes per axis. Of rows: six neighbours (itself where there is
+none), the weights of the faces, eight finer rows or -1, the weight with itself, the diagonal,
+right-hand side and solution."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,12 @@ class Levels:
 
 
 def levels_of(resolution: int) -> Levels:
-    """Grids from so many nodes per axis to a coarsest one of `COARSEST` or fewer."""
+    """Grids from so many nodes per axis to one of a single node, which holds the mean pressure."""
     resolutions, offsets = [resolution], [0]
-    while resolutions[-1] > COARSEST:
+    while resolutions[-1] > 1:
         offsets.append(offsets[-1] + resolutions[-1] ** 3)
         resolutions.append(-(-resolutions[-1] // 2))
-    smallest = SMALLEST_SHARED if backend.active().on_cpu else COARSEST + 1
+    smallest = SMALLEST_SHARED_CPU if backend.active().on_cpu else SMALLEST_SHARED_GPU
     shared = max(1, sum(nodes >= smallest for nodes in resolutions[:-1]))
     return Levels(tuple(resolutions), tuple(offsets), shared)
 
@@ -78,67 +76,109 @@ def levels_of(resolution: int) -> Levels:
 def new_system(levels: Levels) -> Any:
     """Arrays of a system without rows."""
     device, n = backend.active(), levels.size
-    return System(
+    system = System(
         **{name: device.integers(n) for name in ("index", "node", "parent", "odd")},
-        counts=device.integers(levels.count),
+        **{name: device.integers(levels.count) for name in ("counts", "first", "per_axis")},
         neighbors=device.integer_vectors(n, 6),
         weights=device.vectors(n, 6),
         children=device.integer_vectors(n, 8),
-        **{name: device.scalars(n) for name in ("diagonal", "r", "z")},
+        **{name: device.scalars(n) for name in ("self_weight", "diagonal", "r", "z")},
     )
+    system.first.from_numpy(np.array(levels.offsets, np.int32))
+    system.per_axis.from_numpy(np.array(levels.resolutions, np.int32))
+    system.index.fill(-1)
+    return system
 
 
-@ti.kernel
-def list_coarse_rows(system: System, levels: ti.template()):
+@ti.func
+def list_coarse_rows(system: ti.template(), levels: ti.template()):
     """List the rows of the coarser levels from those of the finest, in their order: serial."""
+    for level in range(1, levels.count):
+        fine, coarse = system.first[level - 1], system.first[level]
+        for k in range(system.counts[level]):  # those of the step before
+            system.index[system.node[coarse + k]] = -1
+        found = 0
+        for row in range(fine, fine + system.counts[level - 1]):
+            cell = parent_of(row, fine, coarse, system.per_axis[level - 1], system)
+            if system.index[cell] < 0:
+                system.index[cell] = coarse + found
+                system.node[coarse + found] = cell
+                found += 1
+        system.counts[level] = found
+
+
+@ti.func
+def place_of(row: int, first: int, n: int, system: ti.template()):
+    """Where the node of a row is on the grid of its level, with n nodes per axis."""
+    k = system.node[row] - first
+    return ti.Vector([k // (n * n), (k // n) % n, k % n])
+
+
+@ti.func
+def parent_of(row: int, fine: int, coarse: int, n: int, system: ti.template()):
+    """The coarser node that stands for the node of a row."""
+    half, m = place_of(row, fine, n, system) // 2, (n + 1) // 2
+    return coarse + (half.x * m + half.y) * m + half.z
+
+
+@ti.func
+def relate_to_coarser(row: int, fine: int, coarse: int, n: int, system: ti.template()):
+    """The coarser row that stands for a row, and its parity."""
+    system.parent[row] = system.index[parent_of(row, fine, coarse, n, system)]
+    system.odd[row] = place_of(row, fine, n, system).sum() % 2
+
+
+@ti.func
+def assemble_coarse(row: int, fine: int, coarse: int, n: int, system: ti.template()):
+    """Children and weights of a coarser row, where finer grids have n nodes per axis."""
+    low = 2 * place_of(row, coarse, (n + 1) // 2, system)
+    for c in ti.static(range(8)):
+        at = low + ti.Vector([c // 4, c // 2 % 2, c % 2])
+        child = -1
+        if at.max() < n:
+            child = system.index[fine + (at.x * n + at.y) * n + at.z]
+        system.children[row][c] = child
+    total, finest = 0.0, 0.0
+    for f in ti.static(range(6)):
+        axis, ahead = ti.static(f // 2, 1 - f % 2)
+        weight, other = 0.0, row
+        for c in ti.static(range(8)):
+            if ti.static((c >> (2 - axis)) % 2 == ahead):
+                child = system.children[row][c]
+                if child >= 0:
+                    if system.weights[child][f] > 0:
+                        weight += 0.5 * system.weights[child][f]
+                        other = system.parent[system.neighbors[child][f]]
+        system.weights[row][f] = weight
+        system.neighbors[row][f] = other
+        total += weight
+    for c in ti.static(range(8)):
+        child = system.children[row][c]
+        if child >= 0:
+            finest += system.self_weight[child]
+    system.self_weight[row] = finest
+    system.diagonal[row] = total + finest
+
+
+@ti.func
+def assemble_coarser(system: ti.template(), levels: ti.template()):
+    """The coarser levels from the finest: those that threads share out, then the others."""
+    for level in ti.static(range(1, levels.shared + 1)):
+        fine, coarse = ti.static(levels.offsets[level - 1], levels.offsets[level])
+        n = ti.static(levels.resolutions[level - 1])
+        for row in range(fine, fine + system.counts[level - 1]):
+            relate_to_coarser(row, fine, coarse, n, system)
+        for row in range(coarse, coarse + system.counts[level]):
+            assemble_coarse(row, fine, coarse, n, system)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(levels.offsets[1], levels.size):
-            system.index[i] = -1
-        for level in ti.static(range(1, levels.count)):
-            fine, coarse = ti.static(levels.offsets[level - 1], levels.offsets[level])
-            n, m = ti.static(levels.resolutions[level - 1], levels.resolutions[level])
-            found = 0
-            for k in range(system.counts[level - 1]):
-                i = system.node[fine + k] - fine
-                at = ti.Vector([i // (n * n), (i // n) % n, i % n])
-                half, right = at // 2, at % 2
-                cell = coarse + (half.x * m + half.y) * m + half.z
-                if system.index[cell] < 0:
-                    system.index[cell] = coarse + found
-                    system.node[coarse + found] = cell
-                    for c in ti.static(range(8)):
-                        system.children[coarse + found][c] = -1
-                    found += 1
-                system.parent[fine + k] = system.index[cell]
-                system.odd[fine + k] = (at.x + at.y + at.z) % 2
-                child = 4 * right.x + 2 * right.y + right.z
-                for c in ti.static(range(8)):
-                    if c == child:
-                        system.children[system.index[cell]][c] = fine + k
-            system.counts[level] = found
-
-
-@ti.kernel
-def assemble_coarse(system: System, levels: ti.template()):
-    """Weights of the coarser levels from those of the finest."""
-    for level in ti.static(range(1, levels.count)):
-        first = ti.static(levels.offsets[level])
-        for row in range(first, first + system.counts[level]):
-            total = 0.0
-            for f in ti.static(range(6)):
-                axis, ahead = ti.static(f // 2, 1 - f % 2)
-                weight, other = 0.0, row
-                for c in ti.static(range(8)):
-                    if ti.static((c >> (2 - axis)) % 2 == ahead):
-                        child = system.children[row][c]
-                        if child >= 0 and system.weights[child][f] > 0:
-                            weight += 0.5 * system.weights[child][f]
-                            other = system.parent[system.neighbors[child][f]]
-                system.weights[row][f] = weight
-                system.neighbors[row][f] = other
-                total += weight
-            system.diagonal[row] = total + SELF_WEIGHT * ti.static(8.0**level)
+        for level in range(levels.shared + 1, levels.count):
+            fine, coarse = system.first[level - 1], system.first[level]
+            n = system.per_axis[level - 1]
+            for row in range(fine, fine + system.counts[level - 1]):
+                relate_to_coarser(row, fine, coarse, n, system)
+            for row in range(coarse, coarse + system.counts[level]):
+                assemble_coarse(row, fine, coarse, n, system)
 
 
 @ti.func
@@ -207,22 +247,17 @@ def v_cycle(system: ti.template(), levels: ti.template()):
             restrict(system, row)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for level in ti.static(range(levels.shared, levels.count - 1)):
-            first, coarse = ti.static(levels.offsets[level], levels.offsets[level + 1])
+        for level in range(levels.shared, levels.count - 1):
+            first, coarse = system.first[level], system.first[level + 1]
             for row in range(first, first + system.counts[level]):
                 smooth_from_zero(system, row)
             for row in range(coarse, coarse + system.counts[level + 1]):
                 restrict(system, row)
         last = ti.static(levels.offsets[levels.count - 1])
-        n = system.counts[levels.count - 1]
-        for k in range(n):
-            system.z[last + k] = 0.0
-        for k in range(2 * SWEEPS * n):
-            place = k % n
-            row = last + (place if (k // n) % 2 == 0 else n - 1 - place)
-            system.z[row] = relaxed(system, row)
-        for level in ti.static(range(levels.count - 2, levels.shared - 1, -1)):
-            first = ti.static(levels.offsets[level])
+        system.z[last] = system.r[last] / system.diagonal[last]
+        for back in range(levels.count - 1 - levels.shared):
+            level = levels.count - 2 - back
+            first = system.first[level]
             for row in range(first, first + system.counts[level]):
                 smooth_odd(system, row)
             for row in range(first, first + system.counts[level]):

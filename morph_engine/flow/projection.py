@@ -12,8 +12,10 @@ Face values are means of two nodes; psi is found by conjugate gradients with a m
 preconditioner, from that of the step before.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 from morph_engine import backend
@@ -21,13 +23,14 @@ from morph_engine.backend import CPU_CHUNK_COUNT, CPU_CHUNK_STRIDE
 from morph_engine.flow.multigrid import (
     SELF_WEIGHT,
     System,
-    assemble_coarse,
+    assemble_coarser,
     levels_of,
     list_coarse_rows,
     new_system,
     smooth_even,
     v_cycle,
 )
+from morph_engine.flow.node_box import NodeBox
 from morph_engine.mpm.grid import Grid, is_inside
 
 LEAST_FILLED = 0.05
@@ -38,12 +41,20 @@ NEARLY_EMPTY = 0.1
 cannot be thrown out there."""
 
 CALM = 0.3
+FASTEST = 0.45
+"""No node has more than so many cells a time step of speed: where a body changes at once, matter
+takes more than one step to follow."""
+
 GPU_CHUNK_COUNT = 4096
 
 Vectors: Any = ti.types.argpack(
-    **dict.fromkeys(("potential", "filled", "x", "p", "q", "partial"), ti.types.ndarray())
+    **dict.fromkeys(
+        ("body", "reach", "potential", "filled", "x", "p", "q", "partial"), ti.types.ndarray()
+    )
 )
-"""psi of all nodes. Of the rows: a, solution, direction and its image. Sums of chunks of rows."""
+"""Two boxes, each as its lowest node and one past its highest: of the nodes that shall hold matter,
+and of those that it may reach. psi of all nodes. Of the rows: a, solution, direction and its image.
+Sums of chunks of rows."""
 
 
 class Projection:
@@ -57,7 +68,7 @@ class Projection:
     """
 
     def __init__(
-        self, grid: Grid, *, full: float, tolerance: float = 5e-3, iterations: int = 100
+        self, grid: Grid, *, full: float, tolerance: float = 1e-2, iterations: int = 100
     ) -> None:
         device = backend.active()
         self.grid = grid
@@ -71,105 +82,206 @@ class Projection:
         self._levels = levels_of(grid.resolution)
         self._system = new_system(self._levels)
         self._vectors: Any = Vectors(
+            body=device.integers(6),
+            reach=device.integers(6),
             partial=device.vectors(self._chunks, 4),
             **{name: device.scalars(n) for name in ("potential", "filled", "x", "p", "q")},
         )
+        whole = NodeBox.whole(grid.resolution)
+        self.look_at(whole, whole)
+
+    def look_at(self, body: NodeBox, reach: NodeBox) -> None:
+        """Look at no other nodes than these.
+
+        Args:
+            body: The box of all nodes that shall hold matter.
+            reach: The box of all that matter may give velocity to, and of the body.
+        """
+        for name, box in (("body", body), ("reach", reach)):
+            low, high = np.maximum(box.low, 0), np.minimum(box.high, self.grid.resolution)
+            self._vectors[name].from_numpy(np.concatenate([low, high]).astype(np.int32))
 
     def forget(self) -> None:
         """Start from psi = 0, as a resumed run does."""
         self._vectors.potential.fill(0)
 
-    def project(self, nodes: Any, wanted: Any, wanted_next: Any, dt: float, *, gain: float) -> None:
+    def clear(self, nodes: Any) -> None:
+        """Take velocity and mass, shape [r^3, 4], from all nodes that matter may reach."""
+        clear(nodes, self._vectors, self.grid)
+
+    def project(
+        self, nodes: Any, masses: Sequence[Any], shares: tuple[float, float], dt: float, gain: float
+    ) -> None:
         """Change node velocities in place.
 
         Args:
             nodes: Velocity and mass, shape [r^3, 4]; zero where no particle reaches.
-            wanted: m* at the nodes, shape [r^3], over `full`.
-            wanted_next: m*' likewise.
+            masses: Two states of what nodes shall hold, over `full`, shape [r^3] each.
+            shares: m* and m*' are so far from the first state to the second.
             dt: Time step [s].
             gain: Share of an error of mass that is mended in this step.
         """
         system, vectors, grid = self._system, self._vectors, self.grid
-        list_rows(nodes, wanted, wanted_next, system, vectors, self.full, grid)
-        list_coarse_rows(system, self._levels)
-        count = int(system.counts[0])
-        size = -(-count // self._chunks)
-        chunks = (count, self._chunks, size, self._stride)
-        assemble(nodes, wanted, wanted_next, system, vectors, self.full, gain, dt, grid)
-        assemble_coarse(system, self._levels)
-        largest = begin(system, vectors, *chunks)
+        list_rows(nodes, *masses, *shares, system, self._levels, vectors, self.full, grid)
+        layout = (self._chunks, self._stride)
+        largest = assemble(
+            nodes,
+            *masses,
+            *shares,
+            system,
+            self._levels,
+            vectors,
+            self.full,
+            gain,
+            dt,
+            *layout,
+            grid,
+        )
         limit = self.tolerance * max(largest, 1e-12)
         self.iterations_made = 0
         while self.iterations_made < self.iterations:
             first = self.iterations_made == 0
-            largest = descend(system, self._levels, vectors, first, *chunks)
+            largest = descend(system, self._levels, vectors, first, *layout)
             self.iterations_made += 1
             if largest < limit:
                 break
-        finish(nodes, system, vectors, count, grid)
-        calm(nodes, NEARLY_EMPTY * self.full, CALM * grid.dx / dt)
+        finish(nodes, system, vectors, self.full, dt, grid)
+
+
+@ti.func
+def wanted(mass: ti.template(), next_mass: ti.template(), share: float, i: int):
+    """What node i shall hold at a share of the way between two states."""
+    return (1 - share) * mass[i] + share * next_mass[i]
+
+
+@ti.func
+def line_count(box: ti.template()):
+    """Number of lines of nodes along z in a box."""
+    return (box[3] - box[0]) * (box[4] - box[1])
+
+
+@ti.func
+def line_of(k: int, box: ti.template(), grid: ti.template()):
+    """First node of line k of a box, and one past its last."""
+    width = box[4] - box[1]
+    line = ((box[0] + k // width) * grid.resolution + box[1] + k % width) * grid.resolution
+    return line + box[2], line + box[5]
+
+
+@ti.kernel
+def clear(nodes: ti.types.ndarray(), vectors: Vectors, grid: ti.template()):
+    """Take velocity and mass from the nodes that matter may reach."""
+    for k in range(line_count(vectors.reach)):
+        begin, end = line_of(k, vectors.reach, grid)
+        for i in range(begin, end):
+            nodes[i] = ti.Vector.zero(float, 4)
 
 
 @ti.kernel
 def list_rows(
     nodes: ti.types.ndarray(),
-    wanted: ti.types.ndarray(),
-    wanted_next: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    next_mass: ti.types.ndarray(),
+    share: float,
+    next_share: float,
     system: System,
+    levels: ti.template(),
     vectors: Vectors,
     full: float,
     grid: ti.template(),
 ):
-    """List the nodes that take part, in their order: serial."""
+    """List the nodes that take part, in their order, and the coarser rows: serial."""
     ti.loop_config(serialize=True)
     for _ in range(1):
+        for k in range(system.counts[0]):
+            system.index[system.node[k]] = -1
         found = 0
-        for i in range(grid.node_count):
-            share = ti.max(wanted[i], wanted_next[i])
-            system.index[i] = -1
-            if share > LEAST_FILLED:
-                if is_inside(i, grid):
+        for k in range(line_count(vectors.body)):
+            begin, end = line_of(k, vectors.body, grid)
+            for i in range(begin, end):
+                now = wanted(mass, next_mass, share, i)
+                most = ti.max(now, wanted(mass, next_mass, next_share, i))
+                if most > LEAST_FILLED and is_inside(i, grid):
                     system.index[i] = found
                     system.node[found] = i
-                    vectors.filled[found] = ti.min(ti.max(share, nodes[i].w / full), 1.0)
+                    vectors.filled[found] = ti.min(ti.max(most, nodes[i].w / full), 1.0)
                     found += 1
         system.counts[0] = found
+        list_coarse_rows(system, levels)
 
 
 @ti.kernel
 def assemble(
     nodes: ti.types.ndarray(),
-    wanted: ti.types.ndarray(),
-    wanted_next: ti.types.ndarray(),
+    mass: ti.types.ndarray(),
+    next_mass: ti.types.ndarray(),
+    share: float,
+    next_share: float,
     system: System,
+    levels: ti.template(),
     vectors: Vectors,
     full: float,
     gain: float,
     dt: float,
+    chunks: int,
+    stride: int,
     grid: ti.template(),
-):
-    """The linear system, and its solution of the step before."""
-    for k in range(system.counts[0]):
-        i = system.node[k]
-        change = wanted_next[i] - wanted[i] + gain * (wanted[i] - nodes[i].w / full)
-        source, total = change * grid.dx**2 / dt, SELF_WEIGHT
-        for f in ti.static(range(6)):
-            axis, sign = ti.static(f // 2, 1 - 2 * (f % 2))
-            step = ti.static(sign * grid.resolution ** (2 - axis))
-            other = system.index[i + step]
-            weight = 0.0
-            if other >= 0:
-                weight = 0.5 * (vectors.filled[k] + vectors.filled[other])
-                flow = 0.5 * (nodes[i][axis] + nodes[i + step][axis])
-                source += sign * weight * flow * grid.dx
-            else:
-                other = k
-            system.neighbors[k][f] = other
-            system.weights[k][f] = weight
-            total += weight
-        system.r[k] = source
-        system.diagonal[k] = total
-        vectors.x[k] = vectors.potential[i]
+) -> float:
+    """The linear system and its first residual; returns the largest of the right-hand side.
+
+    The solution begins with that of the step before. The mean of the right-hand side is left out:
+    what a body has too much of as a whole no flow inside it can mend. partial holds (p.q, r.z,
+    r.z before, largest |r|, at first of the right-hand side) of each chunk.
+    """
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk, sources = task // stride, 0.0
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
+                i = system.node[k]
+                now = wanted(mass, next_mass, share, i)
+                then = wanted(mass, next_mass, next_share, i)
+                change = then - now + gain * (now - nodes[i].w / full)
+                source, total = change * grid.dx**2 / dt, SELF_WEIGHT
+                for f in ti.static(range(6)):
+                    axis, sign = ti.static(f // 2, 1 - 2 * (f % 2))
+                    step = ti.static(sign * grid.resolution ** (2 - axis))
+                    other = system.index[i + step]
+                    weight = 0.0
+                    if other >= 0:
+                        weight = 0.5 * (vectors.filled[k] + vectors.filled[other])
+                        flow = 0.5 * (nodes[i][axis] + nodes[i + step][axis])
+                        source += sign * weight * flow * grid.dx
+                    else:
+                        other = k
+                    system.neighbors[k][f] = other
+                    system.weights[k][f] = weight
+                    total += weight
+                system.r[k] = source
+                system.diagonal[k] = total
+                system.self_weight[k] = SELF_WEIGHT
+                vectors.x[k] = vectors.potential[i]
+                sources += source
+            vectors.partial[chunk] = ti.Vector([0.0, sources, 0.0, 0.0])
+    assemble_coarser(system, levels)
+    for task in range(chunks * stride):
+        if task % stride == 0:
+            chunk, largest = task // stride, 0.0
+            mean = chunk_sum(vectors, chunks, 1) / ti.max(system.counts[0], 1)
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
+                source = system.r[k] - mean
+                largest = ti.max(largest, ti.abs(source))
+                system.r[k] = source - applied(vectors.x, system, k)
+            vectors.partial[chunk][3] = largest
+    return largest_of(vectors, chunks)
+
+
+@ti.func
+def rows_of(chunk: int, chunks: int, system: ti.template()):
+    """The first row of a chunk, and one past its last."""
+    size = (system.counts[0] + chunks - 1) // chunks
+    return ti.min(chunk * size, system.counts[0]), ti.min((chunk + 1) * size, system.counts[0])
 
 
 @ti.func
@@ -201,45 +313,21 @@ def largest_of(vectors: ti.template(), chunks: int):
 
 
 @ti.kernel
-def begin(
-    system: System, vectors: Vectors, count: int, chunks: int, size: int, stride: int
-) -> float:
-    """First residual; returns the largest of the right-hand side.
-
-    partial holds (p.q, r.z, r.z before, largest |r|, at first of the rhs) of each chunk.
-    """
-    for task in range(chunks * stride):
-        if task % stride == 0:
-            chunk = task // stride
-            largest = 0.0
-            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                largest = ti.max(largest, ti.abs(system.r[k]))
-                vectors.q[k] = applied(vectors.x, system, k)
-            vectors.partial[chunk] = ti.Vector([0.0, 0.0, 0.0, largest])
-    for k in range(count):
-        system.r[k] -= vectors.q[k]
-        vectors.p[k] = 0.0
-    return largest_of(vectors, chunks)
-
-
-@ti.kernel
 def descend(
     system: System,
     levels: ti.template(),
     vectors: Vectors,
     first: bool,
-    count: int,
     chunks: int,
-    size: int,
     stride: int,
 ) -> float:
     """One iteration of preconditioned conjugate gradients; returns the largest |r|."""
     v_cycle(system, levels)
     for task in range(chunks * stride):
         if task % stride == 0:
-            chunk = task // stride
-            rz = 0.0
-            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            chunk, rz = task // stride, 0.0
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
                 smooth_even(system, k)
                 rz += system.r[k] * system.z[k]
             vectors.partial[chunk][2] = vectors.partial[chunk][1]
@@ -248,22 +336,23 @@ def descend(
         if task % stride == 0:
             chunk = task // stride
             beta = chunk_sum(vectors, chunks, 1) / ti.max(chunk_sum(vectors, chunks, 2), 1e-30)
-            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
                 vectors.p[k] = system.z[k] + (0.0 if first else beta * vectors.p[k])
     for task in range(chunks * stride):
         if task % stride == 0:
-            chunk = task // stride
-            pq = 0.0
-            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            chunk, pq = task // stride, 0.0
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
                 vectors.q[k] = applied(vectors.p, system, k)
                 pq += vectors.p[k] * vectors.q[k]
             vectors.partial[chunk][0] = pq
     for task in range(chunks * stride):
         if task % stride == 0:
-            chunk = task // stride
+            chunk, largest = task // stride, 0.0
             alpha = chunk_sum(vectors, chunks, 1) / ti.max(chunk_sum(vectors, chunks, 0), 1e-30)
-            largest = 0.0
-            for k in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            begin, end = rows_of(chunk, chunks, system)
+            for k in range(begin, end):
                 vectors.x[k] += alpha * vectors.p[k]
                 system.r[k] -= alpha * vectors.q[k]
                 largest = ti.max(largest, ti.abs(system.r[k]))
@@ -273,10 +362,18 @@ def descend(
 
 @ti.kernel
 def finish(
-    nodes: ti.types.ndarray(), system: System, vectors: Vectors, count: int, grid: ti.template()
+    nodes: ti.types.ndarray(),
+    system: System,
+    vectors: Vectors,
+    full: float,
+    dt: float,
+    grid: ti.template(),
 ):
-    """Add grad psi to the velocities: the mean over the faces, by how far they are filled."""
-    for k in range(count):
+    """Add grad psi to the velocities: the mean over the faces, by how far they are filled.
+
+    Then limit the speed of all nodes that matter may reach.
+    """
+    for k in range(system.counts[0]):
         i = system.node[k]
         vectors.potential[i] = vectors.x[k]
         for axis in ti.static(range(3)):
@@ -284,22 +381,11 @@ def finish(
             rise = ahead * (vectors.x[system.neighbors[k][2 * axis]] - vectors.x[k])
             rise += behind * (vectors.x[k] - vectors.x[system.neighbors[k][2 * axis + 1]])
             nodes[i][axis] += rise / (grid.dx * ti.max(ahead + behind, 1e-12))
-
-
-@ti.kernel
-def clear(nodes: ti.types.ndarray()):
-    """Take velocity and mass from all nodes."""
-    for i in range(nodes.shape[0]):
-        nodes[i] = ti.Vector.zero(float, 4)
-
-
-@ti.kernel
-def calm(nodes: ti.types.ndarray(), least_mass: float, limit: float):
-    """Limit the speed [dx/s] of nodes that hold less than this."""
-    for i in range(nodes.shape[0]):
-        node = nodes[i]
-        if node.w < least_mass:
-            speed = node.xyz.norm()
+    for k in range(line_count(vectors.reach)):
+        begin, end = line_of(k, vectors.reach, grid)
+        for i in range(begin, end):
+            cells = ti.select(nodes[i].w < NEARLY_EMPTY * full, CALM, FASTEST)
+            limit, speed = cells * grid.dx / dt, nodes[i].xyz.norm()
             if speed > limit:
                 for axis in ti.static(range(3)):
-                    nodes[i][axis] = node[axis] * (limit / speed)
+                    nodes[i][axis] *= limit / speed

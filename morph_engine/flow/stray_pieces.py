@@ -104,7 +104,8 @@ def find_small_pieces(
         reach: Particles closer than this are linked [dx].
         largest: Number of particles.
     """
-    tree = scipy.spatial.cKDTree(x)
+    # few places are looked at: a tree that is quick to build is better than one quick to search
+    tree = scipy.spatial.cKDTree(x, balanced_tree=False, compact_nodes=False)
     seen: set[int] = set()
     pieces = []
     for start in starts.tolist():

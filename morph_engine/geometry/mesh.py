@@ -19,6 +19,7 @@ from morph_engine.errors import MeshError
 from morph_engine.geometry.file_colors import Part, only_base_colors, read_colors
 from morph_engine.geometry.mesh_archive import Companions, read_archive, self_contained_gltf
 from morph_engine.geometry.mesh_colors import MeshColors
+from morph_engine.geometry.orientation import reversed_faces
 from morph_engine.geometry.splats import are_splats, solid_of_splats
 from morph_engine.geometry.topology import signed_volume, triangle_areas
 from morph_engine.geometry.upward import Up, guess_up
@@ -119,6 +120,10 @@ def make_mesh(
         repairs += (f"{len(triangles) - len(distinct)} repeated faces have been dropped.",)
         triangles = triangles[distinct]
         colors = colors and colors.of_faces(distinct)
+    reversed_ = reversed_faces(points, triangles)
+    if reversed_.any():
+        triangles, colors = _turned(triangles, colors, reversed_)
+        repairs += (f"{np.count_nonzero(reversed_)} faces looked inwards and have been turned.",)
     volume = signed_volume(points, triangles)
     if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
         raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
@@ -130,11 +135,20 @@ def make_mesh(
             "Export the mesh again.",
         )
     if volume < 0:
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
-        colors = colors and colors.of_faces(np.arange(len(triangles)), turned=True)
+        triangles, colors = _turned(triangles, colors, np.ones(len(triangles), np.bool_))
         repairs += ("The surface was inside out and has been turned.",)
     digest = sha256 or _digest(points, triangles, colors)
     return Mesh(points, triangles, name, digest, repairs, colors=colors)
+
+
+def _turned(
+    triangles: npt.NDArray[np.int32],
+    colors: MeshColors | None,
+    which: npt.NDArray[np.bool_],
+) -> tuple[npt.NDArray[np.int32], MeshColors | None]:
+    """Triangles, some of which have their corners in opposite order, and their colours."""
+    turned = np.where(which[:, None], triangles[:, ::-1], triangles)
+    return np.ascontiguousarray(turned), colors and colors.turned(which)
 
 
 def _digest(

@@ -51,15 +51,17 @@ class MeshColors:
         first = self.corners.reshape(-1)[:1]
         return bool((self.corners == first).all())
 
-    def of_faces(self, faces: npt.NDArray[np.intp], *, turned: bool = False) -> MeshColors:
-        """Those of some triangles, or of the same ones with their corners in opposite order."""
-        order = slice(None, None, -1 if turned else 1)
+    def of_faces(self, faces: npt.NDArray[np.intp]) -> MeshColors:
+        """Those of some triangles."""
         return MeshColors(
-            np.ascontiguousarray(self.corners[faces][:, order]),
-            np.ascontiguousarray(self.uv[faces][:, order]),
-            self.texture_of[faces],
-            self.textures,
+            self.corners[faces], self.uv[faces], self.texture_of[faces], self.textures
         )
+
+    def turned(self, faces: npt.NDArray[np.bool_]) -> MeshColors:
+        """Those of the same triangles, some of which, shape [f], have their corners turned over."""
+        both = (self.corners, self.uv)
+        corners, uv = (np.where(faces[:, None, None], one[:, ::-1], one) for one in both)
+        return MeshColors(corners, uv, self.texture_of, self.textures)
 
     def at(self, faces: npt.NDArray[np.integer], weights: Floats) -> srgb.Light:
         """Colours at points of triangles.

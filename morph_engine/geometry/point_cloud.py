@@ -50,6 +50,15 @@ def target_points(target: npt.ArrayLike) -> Points:
     return points
 
 
+def ball_around(positions: npt.ArrayLike) -> tuple[Points, float]:
+    """Centre [3] and radius of a ball around points, shape [n, 3], those not finite overlooked."""
+    finite, _ = finite_points(positions)
+    if not len(finite):
+        return np.zeros(3), 1.0
+    centre = (finite.min(axis=0) + finite.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(finite - centre, axis=1).max())
+
+
 def outer_radius(*clouds: npt.NDArray[Any]) -> float:
     """Largest distance of a point of some clouds, each shape [n, 3], from the origin [dx]."""
     return max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds)

@@ -10,10 +10,13 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import trimesh
+from matplotlib.font_manager import FontEntry, fontManager, get_font
 from matplotlib.ft2font import FT2Font
 from matplotlib.path import Path as Outline
-from shapely import MultiPolygon, Polygon
+from matplotlib.textpath import text_to_path
+from shapely import MultiPolygon, Polygon, unary_union
 from shapely.affinity import scale, translate
+from shapely.geometry.base import BaseGeometry
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh, make_mesh
@@ -40,7 +43,9 @@ def extruded_letters(text: str) -> list[Mesh]:
         tuple(textwrap.wrap(text, width, break_long_words=False))
         for width in range(max(map(len, words)), len(text) + 1)
     }
-    outline = min((_outline(lines) for lines in sorted(layouts)), key=_span)
+    font = get_font(_typefaces(text))
+    font.set_size(FONT_SIZE, 72)
+    outline = min((_outline(lines, font) for lines in sorted(layouts)), key=_span)
     if outline.is_empty:
         raise MeshError("None of these characters leaves a mark.", "Write for instance text:Hello.")
     size = TEXT_SPAN / _span(outline)
@@ -51,28 +56,64 @@ def extruded_letters(text: str) -> list[Mesh]:
     return [make_mesh(part.vertices, part.faces, name=text) for part in letters]
 
 
-def _outline(lines: Sequence[str]) -> MultiPolygon:
-    """Outline of centred lines of DejaVu Sans Bold, the typeface that comes with Matplotlib."""
-    font = FT2Font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf")))
-    font.set_size(FONT_SIZE, 72)
-    letters = []
+def _outline(lines: Sequence[str], font: FT2Font) -> MultiPolygon:
+    """Outline of centred lines; Matplotlib 3.11 and later join letters as their script does."""
+    rows = []
     for row, line in enumerate(lines):
-        x = 0.0
-        placed = []
-        for character in line:
-            if not font.get_char_index(ord(character)):
-                raise MeshError(
-                    f"The typeface has no letter {character!r}.", "Use other characters."
-                )
-            glyph = font.load_char(ord(character))
-            contours = Outline(*font.get_path()).to_polygons()
-            shape = reduce(Polygon.symmetric_difference, map(Polygon, contours), Polygon())
-            placed.append(translate(shape, x, -row * LINE_HEIGHT))
-            x += glyph.linearHoriAdvance / 65536
-        letters += [translate(shape, -x / 2) for shape in placed]
-    return MultiPolygon(
-        [part for letter in letters for part in getattr(letter, "geoms", [letter]) if part.area]
+        placed, glyphs, _ = text_to_path.get_glyphs_with_font(font, line)
+        shapes = {name: _area(*glyph) for name, glyph in glyphs.items()}
+        ink = unary_union([translate(shapes[name], x, y) for name, x, y, _ in placed])
+        if not ink.is_empty:
+            left, _, right, _ = ink.bounds
+            rows.append(translate(ink, -(left + right) / 2, -row * LINE_HEIGHT))
+    ink = unary_union(rows)
+    return MultiPolygon([part for part in getattr(ink, "geoms", [ink]) if part.area])
+
+
+def _area(vertices: np.ndarray, codes: np.ndarray) -> BaseGeometry:
+    """What the contours of a glyph enclose: a contour within another is a hole."""
+    contours = Outline(vertices, codes).to_polygons()
+    return reduce(Polygon.symmetric_difference, map(Polygon, contours), Polygon())
+
+
+def _typefaces(text: str) -> list[str]:
+    """Files of DejaVu Sans Bold, which comes with Matplotlib, and of fonts for what it lacks.
+
+    Those are looked for among the fonts that are installed: bold ones first, then by name.
+    """
+    files = [str(Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf"))]
+    missing = _missing(files[0], {character for character in text if not character.isspace()})
+    installed = (font for font in fontManager.ttflist if not font.name.startswith("Last Resort"))
+    for font in sorted(installed, key=_preference):
+        if not missing:
+            break
+        still_missing = _missing(font.fname, missing)
+        if still_missing != missing:
+            files.append(font.fname)
+            missing = still_missing
+    if missing:
+        raise MeshError(
+            f"No installed typeface has the letter {min(missing)!r}.",
+            "Use other characters, or install a font that has them where morph runs.",
+        )
+    return files
+
+
+def _preference(font: FontEntry) -> tuple[bool, bool, str, str]:
+    return (
+        font.style != "normal",
+        str(font.weight) not in ("bold", "700"),
+        font.name,
+        Path(font.fname).name,
     )
+
+
+def _missing(file: str, characters: set[str]) -> set[str]:
+    try:
+        font = FT2Font(file)
+    except OSError:  # it is in Matplotlib's list, and gone since, or not ours to read
+        return characters
+    return {character for character in characters if not font.get_char_index(ord(character))}
 
 
 def _span(outline: MultiPolygon) -> float:

@@ -29,6 +29,10 @@ class Topology:
     """Connectivity of a triangle mesh after welding equal positions.
 
     Attributes:
+        points: Vertices that are distinct, shape [v, 3], float64.
+        faces: Indices of them, shape [f, 3], int64, without faces that have become a line.
+        kept: Index of each of these faces in the mesh, shape [f].
+        disagree: Two faces that meet at an edge look to different sides.
         watertight: Every edge joins exactly two faces, and their orientations agree.
         component_count: Number of parts that share no vertex.
         euler: Vertices - edges + faces.
@@ -38,29 +42,30 @@ class Topology:
 
     def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
         lower = vertices.min(axis=0)
-        size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        size = float(np.linalg.norm(np.ptp(vertices, axis=0))) or 1.0  # all at one point
         cells = np.rint((vertices - lower) / (WELD_TOLERANCE * size)).astype(np.int64)
         _, first, welded = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        self._points = vertices[first]
+        self.points = vertices[first]
         corners = welded.reshape(-1)[faces]
-        distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
-        self._faces = corners[distinct]
+        self.kept = np.flatnonzero((corners != np.roll(corners, 1, axis=1)).all(axis=1))
+        self.faces = corners[self.kept]
 
-        directed = self._faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        directed = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         edges, edge_of, uses = np.unique(
             np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
         )
         forward = np.where(directed[:, 0] < directed[:, 1], 1, -1)
         balance = np.bincount(edge_of.reshape(-1), weights=forward, minlength=len(edges))
         self.open_edges: npt.NDArray[np.intp] = edges[balance != 0]
+        self.disagree: bool = bool(((uses == 2) & (balance != 0)).any())
         self.watertight: bool = bool(((uses == 2) & (balance == 0)).all())
 
         used, labels = _components(edges)
         self.component_count: int = int(labels.max(initial=-1)) + 1
-        self.euler: int = len(used) - len(edges) + len(self._faces)
-        part = labels[np.searchsorted(used, self._faces[:, 0])]
+        self.euler: int = len(used) - len(edges) + len(self.faces)
+        part = labels[np.searchsorted(used, self.faces[:, 0])]
         self.component_volumes: npt.NDArray[Any] = np.bincount(
-            part, weights=_face_volumes(self._points, self._faces), minlength=self.component_count
+            part, weights=face_volumes(self.points, self.faces), minlength=self.component_count
         )
 
     @cached_property
@@ -68,14 +73,14 @@ class Topology:
         """Connected sets of open edges, the longest first."""
         used, labels = _components(self.open_edges)
         part = labels[np.searchsorted(used, self.open_edges[:, 0])]
-        ends = self._points[self.open_edges]
+        ends = self.points[self.open_edges]
         length = np.bincount(part, weights=np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
         return tuple(_opening(ends[part == label]) for label in np.argsort(-length))
 
 
 def signed_volume(vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> float:
     """Signed volume under a triangle soup; overlapping parts count twice."""
-    return float(_face_volumes(vertices, faces).sum())
+    return float(face_volumes(vertices, faces).sum())
 
 
 def triangle_areas(
@@ -105,7 +110,7 @@ def vertex_normals(
     return unit
 
 
-def _face_volumes(
+def face_volumes(
     vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]
 ) -> npt.NDArray[np.float64]:
     """Signed volume of the tetrahedra between each face and the centre of the bounding box."""

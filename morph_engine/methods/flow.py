@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
+from morph_engine.flow.node_box import NodeBox
 from morph_engine.methods.like_parts import Landmark, LikeParts
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
@@ -32,23 +34,26 @@ from morph_engine.spans import span
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
     from morph_engine.methods.options import MethodConfig
-    from morph_engine.mpm import Layer, Simulation
+    from morph_engine.mpm import Simulation
 
 COURANT = 0.8
 """What an elastic shear wave travels in a time step, at most [cells]."""
 
-CELLS_PER_STEP = 0.3
+CELLS_PER_STEP = 0.4
 """What the fastest particle shall move in a time step [cells]."""
 
 STEPS = 4
-"""Time steps per frame to which the gain and the firmness of the surface refer, and after which
-particles settle."""
+"""Time steps per frame to which the gain and the firmness of the surface refer."""
 
 TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried to like parts [dx]."""
 
 SETTLING_BEGINS = 0.985
 """Share of the way from which particles spread more evenly."""
+
+REBUILD_EVERY = 4
+"""Frames after which the index of nearest neighbours is built anew: particles that are neighbours
+stay so for longer."""
 
 BAND = 1.5
 """Distances to a surface are exact so far from it [cells]."""
@@ -73,7 +78,7 @@ class FlowOptions(MpmOptions):
         "viscous": {"memory": 0.2, "tension": 1.0},
         "fluid": {"material": {"youngs_modulus": 1.0}, "memory": 0.0, "tension": 2.0},
     }
-    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.5, 0.2, 0.05, bytes_per_node=800)
+    cost: ClassVar[CostRates] = CostRates(5.8e-6, 1.3e-6, 0.5, 0.2, 0.005, bytes_per_node=800)
     fixed: ClassVar[tuple[str, ...]] = ("frames", "rest", "like_parts", "landmarks")
 
     name: Literal["flow"] = "flow"
@@ -113,7 +118,7 @@ class FlowOptions(MpmOptions):
     settling: Fraction = Field(
         0.02, description="What settling moves particles in all, at most, over the mean path."
     )
-    rounds: int = Field(2, ge=0, le=10, description="Rounds of moving per quarter of a frame.")
+    rounds: int = Field(4, ge=0, le=40, description="Rounds of settling in a frame.")
     rest: float = Field(
         0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
     )
@@ -175,11 +180,13 @@ class Flow(MpmMethod[FlowOptions]):
             warp=self._like_parts.warp,
         )
         self._bodies = flow.BodiesAhead(self._path)
+        self._nearest_gap = flow.NearestGap(self._settling.cells)
+        self._layers = [flow.layer_arrays(layer) for layer in self._simulation.layers]
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
         self._levels = [device.scalars(len(axis) ** 3) for _ in range(2)]
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
-        self._wanted = [device.scalars(self._grid.node_count) for _ in range(2)]
+        self._boxes = [NodeBox.whole(self._grid.resolution)] * 2
         self._moved = device.scalars(len(problem.source))
         self._body_frame = -1
         time = options.time
@@ -215,18 +222,19 @@ class Flow(MpmMethod[FlowOptions]):
                 )
             steps *= 2
             events.append(restarted(frame, self._frame_seconds / steps, names))
-        before = self._particles.x
-        self._keep(self._simulation.layers[0], order)
-        positions = self.device.upload(self._particles.x[order])
-        self._matches.rebuild(positions)
-        self._matches.update(positions)
-        self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[np.argsort(order), None, None]
+        before, place = self._particles.x, mpm.inverse_order(order)
+        last = self._simulation.layers[0]
+        self._particles = last.download().scaled(self._edge).permuted(place)
+        self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[place, None, None]
+        self._match(frame)
         self._path_length += float(np.linalg.norm(self._particles.x - before, axis=1).mean())
         moved = self._moved_by_now() * self._edge
         self._settled += moved
         self._speed = float(np.linalg.norm(self._particles.v, axis=1).max())
         numbers = {"correction": moved, "dt": self._simulation.dt}
-        return self._outcome(order, numbers, tuple(events))
+        gap = self._nearest_gap.find(last.x, self.problem.config.spacing / self._edge)
+        outcome = self._outcome(np.arange(len(order)), numbers, tuple(events))
+        return replace(outcome, gap=gap.to_numpy()[place] * self._edge)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """The particles, their largest speed [dx/s], mean path and what settling made of it."""
@@ -262,8 +270,12 @@ class Flow(MpmMethod[FlowOptions]):
             largest_cells_per_step=options.watchdog.cells_per_step,
         )
 
-    def _keep(self, layer: Layer, order: NDArray[np.intp]) -> None:
-        self._particles = layer.download().scaled(self._edge).permuted(np.argsort(order))
+    def _match(self, frame: int) -> None:
+        """Match the particles kept, in the order of the source, with the target points."""
+        positions = self.device.upload(self._particles.x)
+        if frame % REBUILD_EVERY == 0:
+            self._matches.rebuild(positions)
+        self._matches.update(positions)
 
     def _share(self, frame: int) -> float:
         return self.options.share_of_way(frame, self.problem.config.frames)
@@ -294,8 +306,8 @@ class Flow(MpmMethod[FlowOptions]):
         if self._body_frame != frame:
             self._upload_body(0, share, next_share)
         else:
-            self._levels.reverse()
-            self._masses.reverse()
+            for states in (self._levels, self._masses, self._boxes):
+                states.reverse()
         self._upload_body(1, next_share, self._share(frame + 2))
         self._body_frame = frame + 1
 
@@ -304,6 +316,17 @@ class Flow(MpmMethod[FlowOptions]):
         real = self.device.numpy_real
         self._levels[slot].from_numpy((body.level.ravel() / self._edge).astype(real))
         self._masses[slot].from_numpy(body.mass.ravel().astype(real))
+        self._boxes[slot] = body.box
+
+    def _reach(self, steps: int) -> NodeBox:
+        """The nodes that particles may reach in a frame of so many steps."""
+        grid, x = self._simulation.grid, self._particles.x / self._edge
+        farthest = steps * self._simulation.largest_cells_per_step  # more is a fault
+        reach = math.ceil(farthest) + grid.width
+        low, high = x.min(axis=0) - grid.origin, x.max(axis=0) - grid.origin
+        return NodeBox(
+            np.floor(low).astype(np.int64) - reach, np.ceil(high).astype(np.int64) + reach
+        )
 
     def _steps(self) -> int:
         """Time steps of a frame, from the speed of the last one and of elastic waves."""
@@ -319,6 +342,8 @@ class Flow(MpmMethod[FlowOptions]):
         simulation.layers[0].upload(self._particles.permuted(order).scaled(1 / self._edge))
         simulation.dt = self._frame_seconds / steps
         simulation.clear_faults()
+        body = self._boxes[0].union(self._boxes[1])
+        self._projection.look_at(body, body.union(self._reach(steps)))
         self._projection.forget()
         self._moved.fill(0)
         self._volume_ratio.fill(1)
@@ -327,38 +352,36 @@ class Flow(MpmMethod[FlowOptions]):
         gain = 1 - (1 - options.gain) ** (STEPS / steps)
         memory = options.memory * (1 - share)
         elasticity = math.exp(-1 / (steps * memory)) if memory > 0.01 else 0.0
-        flow.blend(self._wanted[1], *self._masses, 0.0)
         for step in range(steps):
             part = (step + 1) / steps
-            self._wanted.reverse()
-            flow.blend(self._wanted[1], *self._masses, part)
-            here, there = simulation.layers
             flow.prepare(
-                flow.LayerArrays(x=here.x, v=here.v, C=here.C, F=here.F),
-                self._volume_ratio, self._guidance, *self._levels, part,
+                self._layers[0], self._volume_ratio, self._guidance, *self._levels, part,
                 depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt,
                 simulation.grid,
             )  # fmt: skip
             nodes = simulation.transitions[0].nodes
-            flow.clear(nodes)
+            self._projection.clear(nodes)
             simulation.to_nodes()
-            before, after = self._wanted
-            self._projection.project(nodes, before, after, simulation.dt, gain=gain)
+            shares = step / steps, part
+            self._projection.project(nodes, self._masses, shares, simulation.dt, gain)
             simulation.to_particles()
-            quarter = (step + 1) * STEPS // steps
-            if quarter > step * STEPS // steps:
-                now = share + part * (next_share - share)
-                self._settle(there.x, now, (*self._levels, part), STEPS + 1 - quarter)
+            left, left_then = (
+                options.rounds - i * options.rounds // steps for i in (step, step + 1)
+            )
+            now = share + part * (next_share - share)
+            for rounds in range(left, left_then, -1):
+                self._settle(simulation.layers[1].x, now, (*self._levels, part), rounds)
             simulation.layers.reverse()
+            self._layers.reverse()
             if simulation.faults:
                 return simulation.faults
         self._stray_pieces.gather(simulation.layers[0].x, self._moved, self._spacing(next_share))
         return 0
 
-    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], quarters: int) -> None:
+    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], rounds: int) -> None:
         """Spread particles more evenly than the grid can, by at most their part of the path.
 
-        What may be moved in a frame goes in equal parts to the rounds of the quarters left in it.
+        What may be moved in a frame goes in equal parts to the rounds that are left in it.
         """
         options = self.options
         apart = np.interp(
@@ -366,12 +389,10 @@ class Flow(MpmMethod[FlowOptions]):
         )
         spacing = self._spacing(share)
         allowed = (options.settling * self._path_length - self._settled) / self._edge
-        for rounds in range(quarters * options.rounds, (quarters - 1) * options.rounds, -1):
-            left = (allowed - self._moved_by_now()) / rounds
-            if left <= 0:
-                break
+        most = (allowed - self._moved_by_now()) / rounds
+        if most > 0:
             self._settling.settle(
-                x, self._moved, body, distance=float(apart) * spacing, spacing=spacing, most=left
+                x, self._moved, body, distance=float(apart) * spacing, spacing=spacing, most=most
             )
 
     def _spacing(self, share: float) -> float:

@@ -52,6 +52,8 @@ class FrameOutcome:
         d_fwd: Distance from each particle to its nearest target point [dx], shape [n].
         nearest_fwd: Index of that target point, shape [n].
         d_rev: Distance from each target point to its nearest particle [dx], shape [m].
+        gap: Distance from each particle to the nearest other one [dx], shape [n]; inf where it is
+            not below the lattice spacing. None where the method does not know it.
         deformation: Deformation gradients, shape [n, 3, 3]; None for methods without them.
         numbers: Further metrics of the frame by name, e.g. losses.
         events: What the watchdog did.
@@ -61,6 +63,7 @@ class FrameOutcome:
     d_fwd: NDArray[Any]
     nearest_fwd: NDArray[np.int32]
     d_rev: NDArray[Any]
+    gap: NDArray[Any] | None = None
     deformation: NDArray[Any] | None = None
     numbers: dict[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()

@@ -111,7 +111,7 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
 
     def _keep(self, layer: Layer, order: NDArray[np.intp]) -> None:
         """Take the state that a frame has ended with, whose particles are in this order."""
-        self._particles = layer.download().permuted(np.argsort(order))
+        self._particles = layer.download().permuted(mpm.inverse_order(order))
 
     def _outcome(
         self, order: NDArray[np.intp], numbers: dict[str, float], events: tuple[Event, ...] = ()
@@ -120,7 +120,7 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
 
         Their matches must be up to date.
         """
-        p, original = self._particles, np.argsort(order)
+        p, original = self._particles, mpm.inverse_order(order)
         d_fwd, d_rev = self._matches.distances()
         speed_squared = np.sum(p.v.astype(np.float64) ** 2, axis=1)
         return FrameOutcome(

@@ -31,6 +31,7 @@ def chamfer_metrics(
     d_fwd: npt.ArrayLike | None = None,
     nearest_fwd: npt.ArrayLike | None = None,
     d_rev: npt.ArrayLike | None = None,
+    gap: npt.ArrayLike | None = None,
     workers: int = 1,
 ) -> dict[str, float]:
     """Nearest-neighbour metrics of one frame, cheap enough for every frame.
@@ -45,6 +46,8 @@ def chamfer_metrics(
         d_fwd: Distances d_fwd where already known [dx], shape [n], not squared.
         nearest_fwd: Index of each particle's nearest target point, shape [n], integer.
         d_rev: Distances d_rev where already known [dx], shape [m], not squared.
+        gap: Distance from each particle to the nearest other one where already known [dx], shape
+            [n]; those that are not below h may be inf.
         workers: Threads for the searches; -1 takes every core.
 
     Returns:
@@ -63,18 +66,24 @@ def chamfer_metrics(
     if count == 0:
         return _worst() | escaped
 
-    distinct, copies = distinct_points(points)
-    tree = scipy.spatial.cKDTree(distinct)
+    close = (0.01, 0.1 * spacing)
+    if gap is None or d_rev is None or max(close) > spacing:
+        distinct, copies = distinct_points(points)
+        tree = scipy.spatial.cKDTree(distinct)
+        if d_rev is None:
+            d_rev, _ = tree.query(goal, workers=workers)
+        gaps = distance_to_other(
+            distinct, copies, tree, bound=max(*close, spacing), workers=workers
+        )
+        gaps = np.repeat(gaps, copies)
+    else:
+        gaps = np.asarray(gap)[finite]
 
     if d_fwd is None or nearest_fwd is None:
         forward, nearest = scipy.spatial.cKDTree(goal).query(points, workers=workers)
     else:
         forward, nearest = np.asarray(d_fwd)[finite], np.asarray(nearest_fwd)[finite]
-    if d_rev is None:
-        reverse, _ = tree.query(goal, workers=workers)
-    else:
-        reverse = np.asarray(d_rev)
-    forward, reverse = forward.astype(np.float64), reverse.astype(np.float64)
+    forward, reverse = forward.astype(np.float64), np.asarray(d_rev).astype(np.float64)
 
     forward_mean, reverse_mean = float(np.mean(forward**2)), float(np.mean(reverse**2))
     chamfer = {
@@ -86,10 +95,6 @@ def chamfer_metrics(
     radius = COVERING_RADIUS_OVER_H * spacing if coverage_radius is None else coverage_radius
     target_count = np.unique(nearest).size
 
-    close = (0.01, 0.1 * spacing)
-    gap = distance_to_other(distinct, copies, tree, bound=max(*close, spacing), workers=workers)
-    overlap_01, overlap_h10 = (float(copies[gap < limit].sum()) / count for limit in close)
-
     return (
         chamfer
         | {f"{name}_over_h": value / spacing for name, value in chamfer.items()}
@@ -99,9 +104,9 @@ def chamfer_metrics(
             "recall": recall,
             "f1": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
             "coverage": float(np.mean(reverse < radius)),
-            "overlap_01": overlap_01,
-            "overlap_h10": overlap_h10,
-            "least_gap": min(1.0, float(gap.min()) / spacing),
+            "overlap_01": float(np.mean(gaps < close[0])),
+            "overlap_h10": float(np.mean(gaps < close[1])),
+            "least_gap": min(1.0, float(gaps.min()) / spacing),
             "many_to_one": target_count / count,
             "targets_used": target_count / len(goal),
         }

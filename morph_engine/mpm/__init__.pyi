@@ -3,6 +3,7 @@ from .constitutive import MODELS as MODELS
 from .faults import fault_names as fault_names
 from .grid import Grid as Grid
 from .grid import cell_order as cell_order
+from .grid import inverse_order as inverse_order
 from .grid import make_grid as make_grid
 from .scheme import EXACT as EXACT
 from .simulation import Material as Material

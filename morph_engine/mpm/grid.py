@@ -84,6 +84,13 @@ def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
     return np.argsort(key, kind="stable")
 
 
+def inverse_order(order: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Where each particle is in an order, shape [n]."""
+    inverse = np.empty_like(order)
+    inverse[order] = np.arange(len(order))
+    return inverse
+
+
 @ti.func
 def base_and_offset(position, grid: ti.template()):
     """Lowest node of a particle's stencil, and the particle's position relative to it in cells.

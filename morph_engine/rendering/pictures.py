@@ -10,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageColor
+from PIL import Image
 
 from morph_engine import srgb
 from morph_engine.errors import ConfigError, ResultError
 from morph_engine.files import replacing
-from morph_engine.geometry.point_cloud import finite_points
+from morph_engine.geometry.point_cloud import ball_around, finite_points
 from morph_engine.geometry.topology import vertex_normals
 from morph_engine.geometry.upward import Up
 from morph_engine.rendering import colormap, materials
 from morph_engine.rendering.camera_path import AZIMUTH, ELEVATION, CameraPath
+from morph_engine.rendering.contact_shadow import Ground
+from morph_engine.rendering.picture_options import STILL, PictureOptions, background_color
 from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import (
-    TRANSPARENT_KINDS,
     VideoKind,
     write_picture,
     write_pictures,
@@ -55,10 +56,12 @@ KINDS: dict[str, VideoKind] = {
 }
 WHITE = (1.0, 1.0, 1.0)
 LEAST_COVER = 1e-6
-STILL = CameraPath()
 TURN = CameraPath("turn")
 THUMBNAIL_QUALITY = 85
 THUMBNAIL = (240, 180)
+THUMBNAIL_LOOK = "clay"
+"""That of the page, unless somebody chooses another."""
+
 HOLD_SECONDS = 1.0
 """How long a video rests on its last frame."""
 
@@ -71,11 +74,13 @@ class Camera:
         rotation: From the domain to the eye, which looks along -z with y upwards, shape [3, 3].
         centre: What the picture's centre shows [dx], shape [3].
         reach: What the picture shows from its centre to its nearer edges [dx].
+        up: The domain's upward axis, from where the light comes; None: that nearest to the eye's.
     """
 
     rotation: Floats
     centre: Floats
     reach: float
+    up: Up | None = None
 
     @classmethod
     def facing(cls, points: npt.ArrayLike, rotation: Floats, size: Size) -> Camera:
@@ -116,7 +121,7 @@ class Camera:
     @classmethod
     def anywhere(cls, points: npt.ArrayLike, rotation: Floats) -> Camera:
         """A camera that shows all points from wherever it looks; arguments as for `facing`."""
-        centre, radius = _ball(points)
+        centre, radius = ball_around(points)
         return cls(rotation, centre, MARGIN * max(radius, 1e-6))
 
     def seen(self, points: npt.ArrayLike, size: Size) -> npt.NDArray[np.float32]:
@@ -178,6 +183,7 @@ def picture(
     size: Size = (960, 720),
     background: tuple[float, float, float] | None = WHITE,
     material: str | None = None,
+    ground: Ground | None = None,
 ) -> npt.NDArray[np.uint8]:
     """Draw particles as small lit spheres, or a surface.
 
@@ -194,6 +200,7 @@ def picture(
         size: Width and height [pixels].
         background: RGB, 0 to 1; None for a transparent one.
         material: A name of `materials.MATERIALS`; plain matter under one lamp when not given.
+        ground: What it casts a soft shadow on, if on anything.
 
     Returns:
         RGB, shape [height, width, 3], uint8; on a transparent background RGBA, [height, width, 4].
@@ -205,11 +212,28 @@ def picture(
         colors = colormap.colors(values, low, high, palette=name)
     camera = view or Camera.facing(points, look(), size)
     image = _painted(points, spacing, colors, faces, camera, size, material, background)
+    hidden = _shadow(ground, points, spacing, faces, camera, size) if ground else 0
     if background is None:
+        image[..., 3] += (1 - image[..., 3]) * hidden
         image[..., :3] /= np.maximum(image[..., 3:], LEAST_COVER)
         return _as_bytes(image)
-    rgb, cover = image[..., :3], image[..., 3:]
-    return _as_bytes(rgb + (1 - cover) * np.array(background, np.float32))
+    rgb, cover = image[..., :3], image[..., 3]
+    behind = ((1 - cover) * (1 - hidden))[..., None]
+    return _as_bytes(rgb + behind * np.array(background, np.float32))
+
+
+def _shadow(
+    ground: Ground,
+    points: Floats,
+    spacing: float,
+    faces: npt.NDArray[np.int32] | None,
+    camera: Camera,
+    size: Size,
+) -> npt.NDArray[np.float32]:
+    """How far the shadow of a shape hides the background, shape [height, width]."""
+    shadow = ground.shadow(points, PARTICLE_RADIUS_OVER_H * spacing, faces)
+    pixel = 1 / camera.pixels(size)
+    return ground.seen(shadow, camera.rotation, camera.centre, pixel, size)
 
 
 def _as_bytes(image: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
@@ -223,7 +247,7 @@ def thumbnail(
     colors: npt.NDArray[np.uint8] | None = None,
     up: Up = "y",
 ) -> bytes:
-    """A small picture of particles on a transparent ground.
+    """A small picture of particles as clay, with its shadow, on a transparent background.
 
     It is a WebP file of 240 x 180 pixels, a sixth of a PNG file in size.
 
@@ -233,34 +257,21 @@ def thumbnail(
         colors: Their colours, sRGB, shape [n, 3], uint8, if they have any.
         up: The axis that points upwards in the picture.
     """
-    points = np.asarray(positions, np.float64)
-    camera = Camera.facing(points, look(up=up), THUMBNAIL)
-    shades = None if colors is None else colors / 255
-    image = _painted(points, spacing, shades, None, camera, THUMBNAIL)
-    image[..., :3] /= np.maximum(image[..., 3:], LEAST_COVER)
+    ground = Ground.below(positions, up)
+    shown = np.concatenate([positions, ground.under(positions)])
+    image = picture(
+        positions,
+        spacing=spacing,
+        colors=None if colors is None else colors / 255,
+        view=Camera.facing(shown, look(up=up), THUMBNAIL),
+        size=THUMBNAIL,
+        background=None,
+        material=THUMBNAIL_LOOK,
+        ground=ground,
+    )
     file = io.BytesIO()
-    Image.fromarray(_as_bytes(image)).save(file, "WEBP", quality=THUMBNAIL_QUALITY)
+    Image.fromarray(image).save(file, "WEBP", quality=THUMBNAIL_QUALITY)
     return file.getvalue()
-
-
-def background_color(text: str) -> tuple[float, float, float] | None:
-    """A background as typed: RGB, 0 to 1, or None for a transparent one.
-
-    Args:
-        text: ``transparent``, a name such as ``white``, or ``#rrggbb``.
-
-    Raises:
-        ConfigError: It is no colour.
-    """
-    if text == "transparent":
-        return None
-    try:
-        red, green, blue = ImageColor.getrgb(text)[:3]
-    except ValueError as error:
-        raise ConfigError(
-            f"{text!r} is no colour.", "Write transparent, a name such as black, or #1e2a38."
-        ) from error
-    return red / 255, green / 255, blue / 255
 
 
 def video(
@@ -305,10 +316,11 @@ def video(
             picture in a zip archive; by the path's ending when not given.
         timing: Duration, rests, pace and repetition, apart from the frames there are: all from the
             source on, and what lies between frames.
-        camera: The way of the eye.
+        camera: The path of the eye.
         background: A colour, or ``transparent`` for PNG, WebM and ProRes.
         material: A name of `materials.MATERIALS`, for what has no colours of its own and for how
-            all shines; plain matter under one lamp when not given.
+            all shines, with a soft shadow on the ground; plain matter under one lamp when not
+            given.
         watch: Called with the number of pictures drawn and to be drawn.
 
     Raises:
@@ -330,17 +342,8 @@ def video(
             "Name a file that ends in .mp4 or .gif, .webm, .mov, .png for one frame, or .zip for a "
             "PNG file of each, or a folder for these.",
         )
-    if min(size) < 16 or max(size) > 4096 or size[0] % 2 or size[1] % 2:
-        raise ConfigError(
-            f"A video cannot have {size[0]} x {size[1]} pixels.",
-            "Use even numbers from 16 to 4096, such as 960x720.",
-        )
-    color = background_color(background)
-    if color is None and chosen not in TRANSPARENT_KINDS:
-        raise ConfigError(
-            f"A video of kind {chosen} has no transparent background.",
-            f"Use a colour, or one of the kinds {', '.join(TRANSPARENT_KINDS)}.",
-        )
+    options = PictureOptions(size, TURN if turntable else camera, background, material)
+    options.check(chosen)
     if timing and frames is not None:
         raise ConfigError(
             "A film of a given time shows the whole run, not chosen frames.",
@@ -348,8 +351,6 @@ def video(
         )
     if field:
         find_field(field)
-    if material:
-        materials.find(material)
     check_snap(surface=surface, snap=snap)
     with opened(result) as trajectory:
         if not trajectory.frame_count:
@@ -369,11 +370,8 @@ def video(
         pictures = _pictures(
             selection,
             playback,
-            size=size,
+            options=options,
             up=up or trajectory.run.placement.up,
-            camera=TURN if turntable else camera,
-            background=color,
-            material=material,
         )
         if not timing:
             pictures = _resting(pictures, round(HOLD_SECONDS * fps))
@@ -418,11 +416,8 @@ def _pictures(
     selection: Selection,
     playback: Playback | None,
     *,
-    size: Size,
+    options: PictureOptions,
     up: Up,
-    camera: CameraPath,
-    background: tuple[float, float, float] | None,
-    material: str | None,
 ) -> Iterator[npt.NDArray[np.uint8]]:
     """A picture per frame of the selection, or per moment of a playback."""
     trajectory = selection.trajectory
@@ -431,19 +426,23 @@ def _pictures(
     shown = np.concatenate([*ends, *run.via_points, run.target_points])
     if playback:
         shown = np.concatenate([shown, run.source_points])
-    eye = _first_eye(shown, camera, size, up)
+    ground = Ground.below(shown, up) if options.material else None
+    if ground:
+        shown = np.concatenate([shown, ground.under(shown)])
+    eye = _first_eye(shown, options.camera, options.size, up)
+    background = background_color(options.background)
     (name,) = selection.fields or (None,)
     diverging = name is not None and FIELDS[name].diverging
     limits = _limits(selection, name) if name else None
     colors = None
-    if not (name or selection.surface or material):
+    if not (name or selection.surface or options.material):
         colors = height_colors(run.source_points, look(up=up))
     count = len(playback.moments) if playback else len(selection.frames)
     # the last picture of a film that is timed ends a turn, and shows what the first one does
     steps = count - 1 if playback else count
     snapshots = selection.played(playback) if playback else selection.snapshots()
     for done, snapshot in enumerate(snapshots):
-        view = camera.at(done / steps)
+        view = options.camera.at(done / steps)
         now = colors
         if snapshot.colors is not None and not name:
             now = snapshot.colors / 255
@@ -462,19 +461,22 @@ def _pictures(
                 rotation=look(azimuth=view.azimuth, elevation=view.elevation, up=up),
                 reach=eye.reach / view.zoom,
             ),
-            size=size,
+            size=options.size,
             background=background,
-            material=material,
+            material=options.material,
+            ground=ground,
         )
 
 
 def _first_eye(shown: npt.NDArray[np.floating], path: CameraPath, size: Size, up: Up) -> Camera:
     """A camera that has everything in the picture, wherever its path leads it."""
     if path == STILL:
-        return Camera.facing(shown, look(up=up), size)
-    if path == TURN:
-        return Camera.around(shown, look(up=up), size)
-    return Camera.anywhere(shown, look(up=up))
+        eye = Camera.facing(shown, look(up=up), size)
+    elif path == TURN:
+        eye = Camera.around(shown, look(up=up), size)
+    else:
+        eye = Camera.anywhere(shown, look(up=up))
+    return replace(eye, up=up)
 
 
 def _upward(rotation: Floats) -> Floats:
@@ -528,9 +530,9 @@ def _painted(
             Canvas.light,
             material=found,
             scale=scale,
-            to_room=_room(camera.rotation),
+            to_room=_room(camera),
             colored=colors is not None,
-            radius=scale * _ball(points)[1],
+            radius=scale * ball_around(points)[1],
         )
         behind = np.zeros(4) if background is None else np.append(srgb.linear(background), 1.0)
         if found.transmission and faces is not None:  # its far side is seen from within
@@ -548,17 +550,9 @@ def _painted(
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
 
 
-def _ball(points: npt.ArrayLike) -> tuple[Floats, float]:
-    """Centre [3] and radius of a ball around all points; those not finite are overlooked."""
-    finite, _ = finite_points(points)
-    if not len(finite):
-        return np.zeros(3), 1.0
-    centre = (finite.min(axis=0) + finite.max(axis=0)) / 2
-    return centre, float(np.linalg.norm(finite - centre, axis=1).max())
-
-
-def _room(rotation: Floats) -> Floats:
-    """Rotation from the eye to a room whose y is the domain's axis that looks upright."""
-    upright = np.eye(3)[[1, 2, 0]] if _upward(rotation)[2] else np.eye(3)
-    to_room: Floats = upright @ rotation.T
+def _room(camera: Camera) -> Floats:
+    """Rotation from the eye to a room whose y is the domain's upward axis."""
+    up = camera.up or ("z" if _upward(camera.rotation)[2] else "y")
+    upright = np.eye(3)[[1, 2, 0]] if up == "z" else np.eye(3)
+    to_room: Floats = upright @ camera.rotation.T
     return to_room

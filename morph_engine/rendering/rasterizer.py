@@ -51,6 +51,11 @@ class Canvas:
         return np.isfinite(self._depth).reshape(self._height, self._width)
 
     @property
+    def depth(self) -> Floats:
+        """How near to the eye each pixel is [pixels], -inf where nothing is, [height, width]."""
+        return self._depth.reshape(self._height, self._width)
+
+    @property
     def colors(self) -> Floats:
         """What was drawn as colours, without light, shape [height, width, 3], float32."""
         return self._color.reshape(self._height, self._width, 3)

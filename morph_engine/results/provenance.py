@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field
 
 from morph_engine import backend
 from morph_engine.code_digest import code_digest
+from morph_engine.machine_cores import usable_cores
 
 
 class Provenance(BaseModel, frozen=True):
@@ -61,7 +62,7 @@ def provenance_by_now(method: str) -> Provenance:
         device=running.device,
         cpu=cpu_name(),
         gpu=gpu_name() if running.device == "cuda" else "",
-        threads=running.threads or os.cpu_count() or 1,
+        threads=running.threads or usable_cores(),
         date=datetime.now(timezone.utc).replace(microsecond=0),
         wall_seconds=round(time.time() - psutil.Process().create_time(), 2),
         cpu_seconds=round(time.process_time(), 2),

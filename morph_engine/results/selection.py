@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,9 @@ from morph_engine.results.run_record import Role, Units
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory
 from morph_engine.smoothstep import smoothstep
+
+if TYPE_CHECKING:
+    from morph_engine.rendering.picture_options import PictureOptions
 
 Positions = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
@@ -88,6 +92,7 @@ class Selection:
             colours at its corners.
         fps: Frames per second of an animation; None for what the format usually has.
         timing: How long it is played, and how; None for a time for each frame.
+        picture: How pictures and videos are drawn; None for the usual way.
         units: Coordinates: ``user``, ``source``, ``target`` or ``grid``, see `Units`.
         fields: Names of the fields to carry along.
         watch: Called with the number of frames written and to be written.
@@ -102,6 +107,7 @@ class Selection:
     texture: int | None = None
     fps: float | None = None
     timing: Timing | None = None
+    picture: PictureOptions | None = None
     units: Units = "user"
     fields: tuple[str, ...] = ()
     watch: Callable[[int, int], None] = lambda done, total: None

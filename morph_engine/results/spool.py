@@ -25,7 +25,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.errors import ResultError
+from morph_engine.errors import DamagedError, ResultError
 from morph_engine.files import acquire, replacing
 from morph_engine.results.run_record import Json, RunRecord, Units
 
@@ -478,8 +478,8 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
-def _damaged(path: Path, how: str) -> ResultError:
-    return ResultError(f"{path} {how}.", "Delete the run directory and start the run afresh.")
+def _damaged(path: Path, how: str) -> DamagedError:
+    return DamagedError(f"{path} {how}.", "Delete the run directory and start the run afresh.")
 
 
 @contextmanager

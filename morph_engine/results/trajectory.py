@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.config import MorphConfig
-from morph_engine.errors import ResultError
+from morph_engine.errors import DamagedError, ResultError
 from morph_engine.files import replacing
 from morph_engine.results.run_record import Json, RunRecord, Shape, Units
 from morph_engine.results.spool import Spool
@@ -464,7 +464,7 @@ def _reading(path: Path, part: str = "") -> Iterator[None]:
     try:
         yield
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ResultError(
+        raise DamagedError(
             f"Cannot read {part}{path}, which is damaged or not a result file ({error}).",
             "Copy it again from where it was made, or repeat the run.",
         ) from error

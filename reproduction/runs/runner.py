@@ -6,7 +6,6 @@ unfinished ones in their run directories.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.store import Record, Store
 from chamfer_morph.reproduction.runs.version_0_1 import find_old_record
 from morph_engine.child_process import python_command
+from morph_engine.machine_cores import usable_cores
 from morph_engine.results.spool import finished_frames
 
 POLL_SECONDS = 0.2
@@ -64,7 +64,7 @@ ProgressCallback = Callable[[Progress], None]
 def default_jobs() -> int:
     """Runs at the same time that suit this machine: one a core, if memory allows."""
     memory = int(psutil.virtual_memory().available // MEMORY_PER_RUN)
-    return max(1, min(os.cpu_count() or 1, memory))
+    return max(1, min(usable_cores(), memory))
 
 
 def known_records(
@@ -109,7 +109,7 @@ def execute(
     known = known_records(runs, store, meshes, any_code=any_code)
     missing = [run for run in runs if run.id not in known]
     waiting = sorted(missing, key=lambda run: run.expected_cpu_seconds)  # taken from the end
-    threads = max(1, (os.cpu_count() or 1) // jobs)
+    threads = max(1, usable_cores() // jobs)
     progress = Progress(missing)
     active: dict[str, tuple[Run, subprocess.Popen[bytes]]] = {}
     try:

@@ -21,7 +21,7 @@ from chamfer_morph.server.backup.folder_copy import FolderCopy, folder_size
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from morph_engine.errors import ConfigError
-from morph_engine.files import replacing
+from morph_engine.files import file_sha256, replacing
 
 FOLDERS = ("meshes", "jobs")
 """Of the data directory; the others hold what is in progress, and what can be made again."""
@@ -39,6 +39,7 @@ class BackupRecord(BaseModel):
         format: Version of the backup's layout.
         version: Version of the service that made it.
         database: What was dumped.
+        database_sha256: Digest of the dump; None in backups of before there was one.
         finished_at: When it was complete.
         files: Number of files, the database not included.
         bytes: Their size.
@@ -47,6 +48,7 @@ class BackupRecord(BaseModel):
     format: Literal[1] = 1
     version: str
     database: Literal["sqlite", "postgres"]
+    database_sha256: str | None = None
     finished_at: datetime
     files: int
     bytes: int
@@ -87,6 +89,7 @@ def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
     record = BackupRecord(
         version=metadata.version("chamfer-morph"),
         database=_kind(settings),
+        database_sha256=file_sha256(folder / DATABASE),
         finished_at=datetime.now(timezone.utc),
         files=files,
         bytes=size,
@@ -142,12 +145,19 @@ def _read_record(folder: Path) -> BackupRecord:
         raise ConfigError(
             f"{folder} has no complete backup.", "Repeat morph backup, which goes on where it was."
         ) from None
-    if not (folder / DATABASE).is_file() or _size(folder) != (record.files, record.bytes):
+    if not _is_as_recorded(folder, record):
         raise ConfigError(
             f"Files of the backup in {folder} are missing or have changed since it was made.",
             "Take another backup.",
         )
     return record
+
+
+def _is_as_recorded(folder: Path, record: BackupRecord) -> bool:
+    dumped = folder / DATABASE
+    if not dumped.is_file() or _size(folder) != (record.files, record.bytes):
+        return False
+    return record.database_sha256 in (None, file_sha256(dumped))
 
 
 def _size(folder: Path) -> tuple[int, int]:

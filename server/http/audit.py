@@ -18,7 +18,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.server.database.callers import Caller
-from chamfer_morph.worker import telemetry
+from chamfer_morph.worker import service_log, telemetry
 
 HEADER = "X-Request-ID"
 
@@ -59,6 +59,7 @@ class AuditMiddleware:
             return
         given = Headers(scope=scope).get(HEADER, "")
         name = given if GIVEN.fullmatch(given) else uuid.uuid4().hex
+        service_log.request_id.set(name)
         begun, status, seconds, made = time.perf_counter(), 0, 0.0, ""
 
         async def send_named(message: Message) -> None:

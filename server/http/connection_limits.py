@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from collections import deque
+from functools import cache
 from typing import Any, ClassVar
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
@@ -33,9 +35,12 @@ class LimitedProtocol(HttpToolsProtocol):
 
     Attributes:
         waiting: The connections that have not sent a whole head yet, the oldest first.
+        late: The connections whose time was over when their timers said so. They end one at a time,
+            and what else there is to do comes in between: thousands may be late at once.
     """
 
     waiting: ClassVar[dict[LimitedProtocol, None]] = {}
+    late: ClassVar[deque[tuple[LimitedProtocol, asyncio.TimerHandle | None]]] = deque()
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
@@ -117,12 +122,26 @@ class LimitedProtocol(HttpToolsProtocol):
 
     def _begin_deadline(self) -> None:
         if self._deadline is None:
-            self._deadline = self.loop.call_later(HEAD_SECONDS, self._end_late)
+            self._deadline = self.loop.call_later(HEAD_SECONDS, self._get_in_line)
 
     def _end_deadline(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
+
+    def _get_in_line(self) -> None:
+        """Its time is over."""
+        self.late.append((self, self._deadline))
+        if len(self.late) == 1:
+            self.loop.call_soon(self._end_next)
+
+    def _end_next(self) -> None:
+        """End the connection that has been late for longest, and later the next one."""
+        connection, deadline = self.late.popleft()
+        if self.late:
+            self.loop.call_soon(self._end_next)
+        if connection._deadline is deadline:  # else what it was waited for has come just now
+            connection._end_late()
 
     def _end_late(self) -> None:
         if self.transport.is_closing():
@@ -139,11 +158,17 @@ class LimitedProtocol(HttpToolsProtocol):
     def _refuse(self, status: int, detail: str, remedy: str) -> None:
         """Answer what never becomes a request, and close the connection."""
         if self.cycle is None or self.cycle.response_complete:
-            answer = ProblemError(status, detail, remedy).response()
-            lines = [b"%b: %b\r\n" % header for header in answer.raw_headers]
-            head = [STATUS_LINE[status], *lines, b"connection: close\r\n\r\n"]
-            self.transport.write(b"".join(head) + bytes(answer.body))
+            self.transport.write(_refusal(status, detail, remedy))
         self.transport.close()
+
+
+@cache
+def _refusal(status: int, detail: str, remedy: str) -> bytes:
+    """A whole answer, the last one of a connection."""
+    answer = ProblemError(status, detail, remedy).response()
+    lines = [b"%b: %b\r\n" % header for header in answer.raw_headers]
+    head = [STATUS_LINE[status], *lines, b"connection: close\r\n\r\n"]
+    return b"".join(head) + bytes(answer.body)
 
 
 def most_connections() -> int:

@@ -8,7 +8,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.http.problems import ProblemError
 
-FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip")
+FORWARDED = ("forwarded", "x-forwarded-", "x-real-ip")
+"""Beginnings of the headers that proxies add."""
 
 HEALTH = ("/livez", "/readyz")
 """Answered to anybody, and without a look at the keys, which the database may not give."""
@@ -42,7 +43,7 @@ def refuse(method: str, headers: Headers) -> ProblemError | None:
             f"{host!r}.",
             "Call it as 127.0.0.1 or localhost, or make a key.",
         )
-    if any(name in headers for name in FORWARDED):
+    if any(name.startswith(FORWARDED) for name in headers):
         return ProblemError(
             403,
             "Without keys this service answers nobody through a proxy.",

@@ -178,5 +178,5 @@ def _name_choices(schemas: dict[str, Any]) -> None:
     shape = schemas["BuiltInShape"]["properties"]["shape"]
     shape["anyOf"] = [
         {"enum": list(shapes.names())},
-        {"pattern": f"^{TEXT_PREFIX}[A-Za-z0-9]{{1,{min(TEXT_LIMIT, 58)}}}$"},
+        {"pattern": f"^{TEXT_PREFIX}[A-Za-z0-9]{{1,{TEXT_LIMIT}}}$"},
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import logging
+import os
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,7 +25,7 @@ from chamfer_morph.schemas import ProblemDocument
 from chamfer_morph.worker.dbos_adapter import is_disk_full as is_database_full
 from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
-from morph_engine.errors import MorphError
+from morph_engine.errors import DamagedError, MorphError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -144,6 +145,15 @@ def disk_full() -> ProblemError:
     )
 
 
+def damaged_result() -> ProblemError:
+    """What a job has left cannot be read."""
+    return ProblemError(
+        500,
+        "The result of the job is damaged.",
+        "Retry the job; whoever runs the service finds in its log what is damaged.",
+    )
+
+
 def is_disk_full(error: BaseException | None) -> bool:
     """Whether a file or a database cannot be written for want of space."""
     if isinstance(error, OSError):
@@ -187,7 +197,11 @@ def install(app: FastAPI) -> None:
 
     async def problem(request: Request, error: Exception) -> Response:
         found = as_problem(error)
-        if found.status_code == 500 and isinstance(error, OSError):
+        folder = f"{app.state.context.storage.root}{os.sep}"  # which is nobody's business
+        found.detail, found.remedy = (
+            text.replace(folder, "") for text in (found.detail, found.remedy)
+        )
+        if found.status_code == 500 and isinstance(error, OSError | DamagedError):
             _LOG.error("%s %s", request.method, request.url.path, exc_info=error)
         if found.status_code == 405:
             found.headers["Allow"] = ", ".join(_allowed_methods(app, request.url.path))
@@ -215,6 +229,8 @@ def as_problem(error: Exception) -> ProblemError:
         return error
     if isinstance(error, StoreUnavailableError):
         return unavailable(error.cause)
+    if isinstance(error, DamagedError):
+        return damaged_result()
     if isinstance(error, MorphError):
         return ProblemError(422, error.cause, error.remedy)
     if isinstance(error, RequestValidationError):

@@ -7,10 +7,12 @@ from typing import Annotated, Any
 import anyio
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.sse import EventSourceResponse
+from starlette.types import Receive, Scope, Send
 
 from chamfer_morph.schemas import EventPage
 from chamfer_morph.server.auth import AuthenticatedRoute, JobReader
 from chamfer_morph.server.context import Context, ServerContext
+from chamfer_morph.server.event_hub import Subscription
 from chamfer_morph.server.routes.job_lookup import VisibleJob
 from chamfer_morph.worker.queue import JobRecord
 
@@ -20,6 +22,22 @@ router: APIRouter = APIRouter(
 
 SSE = "text/event-stream"
 LARGEST_ID = 2**53
+
+
+class EventStream(EventSourceResponse):
+    """Events until the job rests or the client leaves, be that before the first of them."""
+
+    def __init__(self, subscription: Subscription, after: int) -> None:
+        headers = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+        super().__init__(subscription.events(after), headers=headers)
+        self._subscription = subscription
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, and give the place back that the stream has taken."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._subscription.hub.unsubscribe(self._subscription)
 
 
 @router.get(
@@ -56,11 +74,7 @@ async def get_events(
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
     if accepts_stream(request.headers.get("accept", "")):
-        context.event_hub.check_capacity(caller.name)
-        return EventSourceResponse(
-            context.event_hub.stream(job.id, after, caller.name),
-            headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
-        )
+        return EventStream(context.event_hub.subscribe(job.id, caller.name), after)
     return await anyio.to_thread.run_sync(_page, job, after, limit, context)
 
 

@@ -24,7 +24,7 @@ from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.job import problem_of
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions, StoredExport
-from morph_engine.errors import MorphError
+from morph_engine.errors import DamagedError, MorphError
 
 router: APIRouter = APIRouter(tags=["exports"], route_class=AuthenticatedRoute)
 
@@ -61,6 +61,16 @@ EXAMPLES: dict[str, Example] = {
     "animation": {
         "summary": "All frames as points with their density, in grid units",
         "value": {"format": "ply", "fields": ["density"], "units": "grid"},
+    },
+    "film": {
+        "summary": "A film of porcelain that turns once, in full HD",
+        "value": {
+            "format": "mp4",
+            "surface": True,
+            "seconds": 6,
+            "hold": 0.5,
+            "picture": {"width": 1920, "height": 1080, "look": "porcelain", "camera": "turn"},
+        },
     },
 }
 
@@ -253,7 +263,7 @@ def _show(
 
 def _problem(error: Exception) -> Problem:
     """Why an export has failed."""
-    if isinstance(error, MorphError):
+    if isinstance(error, MorphError) and not isinstance(error, DamagedError):
         return problem_of(error)
     problem = as_problem(error)
     return Problem(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter as Counts
+from collections.abc import Iterator
 from typing import Literal, get_args
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.registry import Collector
 from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -29,6 +32,27 @@ class Health(BaseModel):
     """The service answers."""
 
     status: Literal["ok"] = "ok"
+
+
+class StoredCounter(Collector):
+    """A counter that the database keeps, the same for every API process.
+
+    Args:
+        name: Its name, to which Prometheus's format adds `_total`.
+        meaning: What it counts.
+
+    Attributes:
+        value: As it was read last.
+    """
+
+    def __init__(self, name: str, meaning: str) -> None:
+        self._name = name
+        self._meaning = meaning
+        self.value: int = 0
+
+    def collect(self) -> Iterator[CounterMetricFamily]:
+        """Its one sample."""
+        yield CounterMetricFamily(self._name, self._meaning, self.value)
 
 
 class Metrics:
@@ -55,10 +79,15 @@ class Metrics:
         self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
         self.failures: Counter = Counter(
             "morph_job_failures",
-            "Jobs that have failed or timed out, by kind of problem.",
+            "Jobs that have failed or timed out since this API began, by kind of problem.",
             ("kind",),
             registry=self.registry,
         )
+        self.adoptions: StoredCounter = StoredCounter(
+            "morph_adoptions",
+            "Times that jobs of a worker that was gone went back into the queue.",
+        )
+        self.registry.register(self.adoptions)
         self.workers: Gauge = Gauge(
             "morph_workers",
             "Worker slots: busy, idle, paused, or dead.",
@@ -159,6 +188,7 @@ def metrics(request: Request, context: Context) -> Response:
     failures = context.failures.since_last_call()
     for kind in {*FAILURE_KINDS, *failures}:
         metrics.failures.labels(kind).inc(failures[kind])
+    metrics.adoptions.value = context.adoptions.total()
     workers = Counts(map(_state, worker_statuses(context)))
     for name in WORKER_STATES:
         metrics.workers.labels(name).set(workers[name])

@@ -21,6 +21,7 @@ from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_fr
 from chamfer_morph.worker.job_state import Action, allowed
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.storage import StoreUnavailableError
+from morph_engine.errors import DamagedError, MorphError
 from morph_engine.results.run_record import RunRecord
 
 _LOG = logging.getLogger(__name__)
@@ -120,14 +121,21 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
     """The result file of a finished job, with all its frames.
 
     Raises:
-        ProblemError: 409, there is none.
-        MorphError: Its engine was killed, and its frames cannot be made a result.
+        ProblemError: 409, there is none; 503, its engine was killed, and its frames cannot be made
+            a result now.
+        DamagedError: One of these frames cannot be read.
     """
     await anyio.to_thread.run_sync(fetch, job, context)
     path = context.storage.result_path(job.id)
     if job.state.finished and await anyio.to_thread.run_sync(has_unsaved_frames, path):
         compute = partial(context.sandbox.write_partial_result, job.id)
-        await context.partial_results.get((job.id,), compute, request, job.owner)
+        try:
+            await context.partial_results.get((job.id,), compute, request, job.owner)
+        except DamagedError:
+            raise
+        except MorphError as error:  # nothing is wrong with the request
+            retry = {"Retry-After": "60"}
+            raise ProblemError(503, error.cause, error.remedy, headers=retry) from error
     if not job.state.finished or not path.is_file():
         raise ProblemError(
             409,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AsyncExitStack, nullcontext
+from contextlib import AsyncExitStack, nullcontext, suppress
 from typing import Annotated, Any
 
 import anyio
@@ -37,6 +37,7 @@ from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
 from chamfer_morph.server.submission import idempotent_id, prepare, submit
 from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.storage import StoreUnavailableError
 
 router: APIRouter = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
 
@@ -191,10 +192,11 @@ def get_job(caller: JobReader, job: VisibleJob, context: Context) -> Response:
 def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
     """Forget a finished job and all its files."""
     check_allowed(job, "delete")
-    context.queue.delete(job.id)
-    context.share_links.remove_of_job(job.id)
-    context.cancel_computations(job.id)
-    context.storage.remove_job(job.id)
+    with suppress(StoreUnavailableError), context.deletions.noted(job.id):
+        context.queue.delete(job.id)
+        context.share_links.remove_of_job(job.id)
+        context.cancel_computations(job.id)
+        context.storage.remove_job(job.id)
     context.quotas.job_gone(job.id, job.owner)
 
 

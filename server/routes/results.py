@@ -18,6 +18,7 @@ from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, file_response
 from chamfer_morph.server.http.csv_table import csv_table
+from chamfer_morph.server.http.remote_file import remote_file_response
 from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_result
 from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
@@ -46,13 +47,20 @@ async def get_result(job: VisibleJob, request: Request, context: Context) -> Res
     Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
     leaves the frames it had finished.
     """
+    filename = f"{file_stem(job)}.vtkhdf"
+    if job.outcome is not None:
+        remote = await anyio.to_thread.run_sync(context.storage.remote_result, job.id)
+        if remote is not None and remote.size == job.outcome.size_bytes:
+            digest = job.outcome.sha256
+            return await remote_file_response(
+                request, remote, digest, media_type=HDF5, filename=filename
+            )
     path = await find_result(job, request, context)
     if job.outcome is not None:
         digest = job.outcome.sha256
     else:
         stat = path.stat()
         digest = await anyio.to_thread.run_sync(_digest, path, stat.st_mtime_ns, stat.st_size)
-    filename = f"{file_stem(job)}.vtkhdf"
     return file_response(request, path, digest, media_type=HDF5, filename=filename)
 
 

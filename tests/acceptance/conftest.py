@@ -60,8 +60,8 @@ class Cluster:
         self.storage = open_storage(self.settings, "test")
         self.queue = JobQueue(self.settings)
         self.queue.migrate()
-        self._database = database(self.settings)
-        self.slots = WorkerSlots(self._database)
+        self.database = database(self.settings)
+        self.slots = WorkerSlots(self.database)
 
     def start(self, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
         """Start a process of the worker room."""
@@ -183,7 +183,7 @@ class Cluster:
                     with_patience(member)
             process.wait()
         self.queue.close()
-        self._database.dispose()
+        self.database.dispose()
 
 
 def _engine_processes(worker: subprocess.Popen[bytes]) -> list[psutil.Process]:

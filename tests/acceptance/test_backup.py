@@ -78,6 +78,7 @@ def test_backup_is_brought_up_to_date(new_cluster, tmp_path):
         ("none", "There is a service already."),
         ("no record", "has no complete backup."),
         ("file lost", "missing or have changed"),
+        ("bit of the dump turned", "missing or have changed"),
         ("other kind", "This is a backup of postgres."),
     ],
 )
@@ -93,6 +94,10 @@ def test_restore_refuses(new_cluster, tmp_path, fault, message):
         record.unlink()
     elif fault == "file lost":
         (folder / "jobs/one/log.txt").unlink()
+    elif fault == "bit of the dump turned":
+        dumped = bytearray((folder / "database.dump").read_bytes())
+        dumped[len(dumped) // 2] ^= 1
+        (folder / "database.dump").write_bytes(dumped)
     elif fault == "other kind":
         record.write_text(record.read_text().replace("sqlite", "postgres"))
     refused = morph(service.environment, "restore", folder)

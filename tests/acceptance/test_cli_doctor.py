@@ -29,7 +29,7 @@ def test_machine_that_has_everything(tmp_path: Path) -> None:
     """Nothing is wrong, and nothing is left behind."""
     status, findings = run_doctor(MORPH_DATA_DIR=str(tmp_path / "data"))
     assert status == 0
-    subjects = ["software", "libraries", "memory", "network", "disk", "database", "morph"]
+    subjects = ["software", "libraries", "memory", "network", "files", "disk", "database", "morph"]
     assert [*findings] == subjects
     assert {finding["verdict"] for finding in findings.values()} <= {"ok", "warning"}
     assert "taichi 1." in findings["software"]["text"]

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,10 @@ import psutil
 import pytest
 
 from chamfer_morph.client import MorphClient
+from morph_engine.machine_cores import usable_cores
 from morph_engine.results.trajectory import Trajectory
 
+ENGINE = "chamfer_morph.worker.engine_process"
 MORPH = Path(sys.executable).with_name("morph")
 SMALL = ["--points-per-cell-edge", "2", "--frames", "2"]
 LONG = ["--points-per-cell-edge", "2", "--frames", "300"]
@@ -50,9 +52,9 @@ def environment(server=None):
 
 
 @contextmanager
-def running(*arguments):
+def running(*arguments, **variables):
     """A `morph` command that runs until it is told to end, with its children."""
-    process = subprocess.Popen([MORPH, *map(str, arguments)], env=environment())
+    process = subprocess.Popen([MORPH, *map(str, arguments)], env=environment() | variables)
     family = psutil.Process(process.pid)
     try:
         yield process
@@ -144,7 +146,9 @@ def test_a_mesh_is_submitted_watched_shown_and_fetched(morph, service, tmp_path)
     assert sum(line.startswith("frame ") for line in outcome.stderr.splitlines()) == 2
 
     again = morph("watch", job["id"])
-    assert again.returncode == 0 and "two_sided" in again.stdout
+    quality, *rest = again.stdout.splitlines()
+    assert again.returncode == 0 and "of the target is filled" in quality
+    assert len(rest) == 3 and rest[-1].endswith(f"morph fetch {job['id']}")
     shown = morph("show", job["id"])
     assert "box.obj to star" in shown.stdout and "succeeded" in shown.stdout
     listed = morph("jobs", "--state", "succeeded", "--method", "flow")
@@ -359,6 +363,25 @@ def test_workers_that_die_are_started_again(tmp_path):
         process.terminate()
         assert process.wait(15) == 0
         assert not any(each.is_running() for each in workers)
+
+
+def test_workers_of_a_machine_share_its_cores(tmp_path):
+    """Two slots have half of the cores each."""
+    warm = {"MORPH_WARM_ENGINES": "true"}
+    with running("worker", "--slots", 2, "--data-dir", tmp_path, **warm) as process:
+        parent = psutil.Process(process.pid)
+        threads = {}
+
+        def engines_are_there():
+            for each in parent.children(recursive=True):
+                with suppress(psutil.NoSuchProcess):  # a short one
+                    command = each.cmdline()
+                    if ENGINE in command:
+                        threads[each.pid] = int(command[command.index(ENGINE) + 1])
+            return len(threads) >= 2
+
+        assert wait_for(engines_are_there)
+    assert {*threads.values()} == {max(1, usable_cores() // 2)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel ends orphans on Linux only")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sqlite3
+import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +22,7 @@ from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
 from morph_engine.sections import GridConfig
+from tests.acceptance.conftest import FRAMES, Cluster
 
 pytestmark = [
     pytest.mark.faults,
@@ -201,7 +204,7 @@ def test_cancel_while_finishing(cluster, undisturbed):
     cluster.wait_for_frame(job, len(undisturbed) - 1)
     cluster.queue.cancel(job)  # changes nothing if the job was faster
     state = cluster.wait_for_state(job, JobState.SUCCEEDED, JobState.CANCELLED).state
-    assert cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end") < 2.5
+    cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end")
     assert cluster.job(job).state is state
     if state is JobState.CANCELLED:
         cluster.queue.resume(job)
@@ -229,7 +232,7 @@ def test_timeout(cluster):
     record = cluster.wait_for_state(job, JobState.TIMED_OUT, JobState.CANCELLED)
     assert record.state is JobState.TIMED_OUT
     assert "15 s" in record.problem.cause
-    assert cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end") < 2.5
+    cluster.wait_until(lambda: not cluster.engines(worker), "the engine to end")
     done = len(cluster.frames(job))
     assert done > 0
     cluster.queue.resume(job)
@@ -391,31 +394,86 @@ def test_database_restarts_while_jobs_are_queued(new_cluster, own_postgres):
     assert set(wanted) < set(found)
 
 
-def fill_disk(folder: Path) -> Path:
-    """Fill a disk to the last byte; returns the file that does."""
+def put_jobs_on(disk: Path, cluster: Cluster) -> None:
+    """Let a disk of their own hold the files of jobs."""
+    (disk / "jobs").mkdir()
+    jobs = cluster.settings.data_dir / "jobs"
+    jobs.rmdir()
+    jobs.symlink_to(disk / "jobs")
+
+
+def fill_disk(folder: Path, *, but: int = 0) -> Path:
+    """Fill a disk, but for some bytes; returns the file that does."""
     filling = folder / "filling"
     with suppress(OSError), filling.open("wb") as file:
         while True:
             file.write(bytes(1 << 12))
             file.flush()
+    os.truncate(filling, filling.stat().st_size - but)
     return filling
 
 
 def test_disk_full(new_cluster, small_disk, undisturbed):
     """A job that finds the disk full fails and says so; with room again, resume finishes it."""
     cluster = new_cluster("")
-    jobs = cluster.settings.data_dir / "jobs"
-    jobs.rmdir()
-    jobs.symlink_to(small_disk)
+    put_jobs_on(small_disk, cluster)
     cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 1)
     filling = fill_disk(small_disk)
     record = cluster.wait_for_state(job, JobState.FAILED)
-    assert "space" in f"{record.problem.cause} {record.problem.remedy}"
+    told = f"{record.problem.cause} {record.problem.remedy}"
+    assert "space" in told and f"{cluster.settings.data_dir}" not in told
     filling.unlink()
     cluster.queue.resume(job)
     cluster.require_sound(job, undisturbed, kills=2)
+
+
+def test_disk_full_as_the_result_is_written(new_cluster, small_disk, undisturbed):
+    """The job fails and says so; with room again, resume writes it, and computes no frame again."""
+    cluster = new_cluster("")
+    put_jobs_on(small_disk, cluster)
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, FRAMES * 2 // 3)
+    engine = cluster.engine(worker)
+    engine.suspend()
+    # enough for the other frames; a result has all positions, and more
+    filling = fill_disk(small_disk, but=undisturbed.nbytes)
+    engine.resume()
+    record = cluster.wait_for_state(job, JobState.FAILED)
+    assert cluster.frames(job) == [*range(FRAMES)]
+    assert "No space" in record.problem.cause and record.problem.kind == "resources"
+    assert not cluster.storage.result_path(job).exists()
+    filling.unlink()
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed, kills=0)
+
+
+def test_disk_that_becomes_read_only(new_cluster, small_disk, undisturbed):
+    """A job whose engine is gone fails and says so; resumed on a disk that is well, it goes on."""
+    cluster = new_cluster("")
+    put_jobs_on(small_disk, cluster)
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, FRAMES // 3)
+    engine = cluster.engine(worker)
+    worker.send_signal(signal.SIGSTOP)
+    engine.kill()  # it would have files open, with which no disk becomes read-only
+    cluster.wait_until(lambda: remount(small_disk, "ro"), "the disk to become read-only")
+    worker.send_signal(signal.SIGCONT)
+    record = cluster.wait_for_state(job, JobState.FAILED)
+    assert "Read-only" in record.problem.cause and record.problem.kind == "resources"
+    assert worker.poll() is None
+    assert remount(small_disk, "rw")
+    cluster.queue.resume(job)
+    cluster.require_sound(job, undisturbed)
+
+
+def remount(folder: Path, how: str) -> bool:
+    """Let a disk be read-only (`ro`) or not (`rw`); False while files are written to."""
+    command = ["mount", "-o", f"remount,{how}", folder]
+    return subprocess.run(command, check=False, capture_output=True).returncode == 0
 
 
 def test_disk_of_database_and_data_full(new_cluster, small_disk, undisturbed):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import signal
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import psycopg
 import pytest
+import sqlalchemy as sa
 
 from chamfer_morph.client import MorphClient
 from chamfer_morph.schemas import JobState
@@ -41,7 +44,7 @@ def new_host(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Iterator[Callable[..., Cluster]]:
-    """Makes a host with a folder of its own; its link to the store may be another one."""
+    """Makes a host with a folder of its own; its links to store and database may be others."""
     name = f"hosts_{tmp_path.name}".replace("-", "_").lower()
     with psycopg.connect(postgres, autocommit=True) as connection:
         connection.execute(f'drop database if exists "{name}" with (force)')
@@ -50,12 +53,17 @@ def new_host(
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     monkeypatch.setenv("AWS_REGION", "us-east-1")
 
-    def make(link: Link | None = None, **settings: str) -> Cluster:
+    def make(link: Link | None = None, *, database: Link | None = None, **settings: str) -> Cluster:
         host, port = ("127.0.0.1", link.port) if link else store
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        url = f"{postgres.rpartition('/')[0]}/{name}"
+        url = sa.make_url(postgres).set(database=name)
+        if database:
+            url = url.set(host="127.0.0.1", port=database.port)
+            url = url.update_query_dict({"sslmode": "disable"})  # so that the link can read it
         address = f"s3://{BUCKET}/{tmp_path.name}"
-        return new_cluster(url, object_store=address, **settings)
+        return new_cluster(
+            url.render_as_string(hide_password=False), object_store=address, **settings
+        )
 
     yield make
     with psycopg.connect(postgres, autocommit=True) as connection:
@@ -90,6 +98,45 @@ def test_job_of_a_lost_host(
     ]
     assert len(resumed) == 2 and resumed[1] >= FRAMES // 3
     assert not [*tmp_path.glob("data1/*slot1/jobs/*")], "what is published stays on no worker"
+
+
+def test_parts_of_a_result_come_from_the_store(new_host: Callable[..., Cluster]) -> None:
+    """Range and whole downloads of a job of another host, of which this one keeps no file."""
+    first, second = new_host(), new_host()
+    first.worker(0)
+    with serving(second.settings.model_copy(update={"port": 0})) as api:
+        with MorphClient(str(api.http.base_url)) as client:
+            run = {"method": "joint", "frames": 3}
+            job = client.submit("sphere", "star", **run).id
+        outcome = first.wait_for_state(job, JobState.SUCCEEDED).outcome
+        assert outcome is not None
+        address, size = f"/v1/jobs/{job}/result", outcome.size_bytes
+        whole = api.http.get(address)
+        assert hashlib.sha256(whole.content).hexdigest() == outcome.sha256
+        tag = whole.headers["ETag"]
+        for asked, begin, end in (
+            ("bytes=0-7", 0, 8),
+            ("bytes=1000-", 1000, size),
+            ("bytes=-100", size - 100, size),
+            (f"bytes={size - 5}-{size + 5}", size - 5, size),
+        ):
+            part = api.http.get(address, headers={"Range": asked, "If-Range": tag})
+            assert part.status_code == 206
+            assert part.headers["Content-Range"] == f"bytes {begin}-{end - 1}/{size}"
+            assert part.content == whole.content[begin:end]
+        for headers, status in (
+            ({"Range": f"bytes={size}-"}, 416),
+            ({"Range": "bytes=0-7", "If-Range": '"another"'}, 200),
+            ({"Range": "bytes=0-7,9-10"}, 200),
+            ({"If-None-Match": tag}, 304),
+        ):
+            assert api.http.get(address, headers=headers).status_code == status
+        path = api.context.storage.result_path(job)
+        assert not path.exists()
+        api.http.get(f"/v1/jobs/{job}/frames/0").raise_for_status()  # which fetches it
+        assert path.stat().st_size == size
+        here = api.http.get(address, headers={"Range": "bytes=0-7"})
+        assert here.status_code == 206 and here.content == HDF5_SIGNATURE
 
 
 def test_a_fork(new_host: Callable[..., Cluster]) -> None:
@@ -170,14 +217,14 @@ def test_store_that_is_slow(
 ) -> None:
     """Whose every answer takes a second: the job ends, and the worker keeps it."""
     reader, host = new_host(), new_host(link)
-    link.delay = 1.0
+    link.delay = 0.5  # there and back
     host.worker(0)
     job = reader.submit()
     reader.require_sound(job, undisturbed, kills=0)
 
 
 def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link: Link) -> None:
-    """Jobs are listed, shown and cancelled; what needs their files says what is missing."""
+    """Jobs are listed, shown, followed, cancelled; what needs their files says what is missing."""
     near, host = new_host(), new_host(link)  # the last one tells where the API looks
     with serving(host.settings.model_copy(update={"port": 0})) as api:
         job = near.submit()
@@ -188,6 +235,13 @@ def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link:
         assert api.http.get(f"/v1/jobs/{job}").json()["state"] == "queued"
         cancelled = api.http.post(f"/v1/jobs/{job}/cancel")
         assert cancelled.status_code == 202 and cancelled.json()["state"] == "cancelled"
+        other = near.submit()
+        accept = {"Accept": "text/event-stream"}
+        with api.http.stream("GET", f"/v1/jobs/{other}/events", headers=accept) as stream:
+            lines = (line for line in stream.iter_lines() if line.startswith("data: "))
+            assert "queued" in next(lines)
+            near.queue.cancel(other)
+            assert "cancelled" in next(lines)
         answer = api.http.get(f"/v1/jobs/{job}/frames/0")
         assert answer.status_code == 503 and "object store" in answer.json()["detail"]
 
@@ -231,3 +285,66 @@ def test_two_workers_that_believe_to_own_a_job(
     link.mend()
     worker.send_signal(signal.SIGCONT)
     reader.require_sound(job, undisturbed, kills=0)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "seconds"),
+    [
+        (Link.cut, 5.0),
+        (Link.silence, 40.0),  # longer than Postgres keeps the session of a silent worker
+        (partial(Link.silence, there=False), 40.0),
+    ],
+    ids=["cut", "silent", "no answers"],
+)
+def test_link_to_the_database(
+    new_host: Callable[..., Cluster],
+    postgres: str,
+    undisturbed: np.ndarray,
+    trouble: Callable[[Link], None],
+    seconds: float,
+) -> None:
+    """Cut, or silent one way or both: the job ends once, here or at another host."""
+    url = sa.make_url(postgres)
+    link = Link((url.host or "127.0.0.1", url.port or 5432))
+    reader, host, other = new_host(), new_host(database=link), new_host()
+    host.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    trouble(link)
+    other.start("janitor")
+    other.worker(1)
+    time.sleep(seconds)
+    link.mend()
+    reader.require_sound(job, undisturbed, kills=1)
+    link.close()
+
+
+def test_host_that_vanishes_within_a_transaction(
+    new_host: Callable[..., Cluster], postgres: str, undisturbed: np.ndarray
+) -> None:
+    """What it has locked is free soon, although nobody tells Postgres that the host is gone."""
+    url = sa.make_url(postgres)
+    link = Link((url.host or "127.0.0.1", url.port or 5432))
+    reader, host, other = new_host(), new_host(database=link), new_host()
+    host.worker(0)
+    job = reader.submit()
+    reader.wait_for_frame(job, 3)
+    while not _holds_a_beat(reader.database):
+        link.mend()
+        link.silent_at = b"COMMIT"
+        reader.wait_until(lambda: not link.silent_at, "a transaction of the worker")
+    other.start("janitor")
+    other.worker(1)
+    reader.require_sound(job, undisturbed, kills=1)
+    link.close()
+
+
+def _holds_a_beat(database: sa.Engine) -> bool:
+    """Whether a transaction that waits for its client has written the sign of life of a job."""
+    query = sa.text(
+        "select count(*) from pg_locks join pg_stat_activity as session using (pid) "
+        "where state = 'idle in transaction' and mode = 'RowExclusiveLock' "
+        "and relation = 'dbos.workflow_events'::regclass"
+    )
+    with database.connect() as connection:
+        return bool(connection.execute(query).scalar_one())

@@ -42,7 +42,8 @@ def pooler(database: str, tmp_path: Path) -> Iterator[str]:
     config.write_text(
         f"[databases]\n* = host={server.host} port={server.port or 5432} user={server.username}\n"
         f"[pgbouncer]\nlisten_addr = 127.0.0.1\nlisten_port = {port}\nunix_socket_dir =\n"
-        f"auth_type = any\npool_mode = transaction\ndefault_pool_size = {POOL_SIZE}\n",
+        f"auth_type = any\npool_mode = transaction\ndefault_pool_size = {POOL_SIZE}\n"
+        "idle_transaction_timeout = 15\n",
         encoding="utf-8",
     )
     program = shutil.which("pgbouncer", path=PATH)

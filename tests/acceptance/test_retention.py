@@ -16,6 +16,7 @@ from chamfer_morph.worker.janitor import (
     delete_expired,
     delete_if_unchanged,
 )
+from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.storage import Storage
 
@@ -33,34 +34,62 @@ def test_retention(cluster):
     queued = cluster.submit()
     storage, queue = cluster.storage, cluster.queue
     engine = database(cluster.settings)
-    sizes = JobSizes(engine, queue, storage)
-    assert delete_expired(cluster.settings, queue, sizes) == []
+    sizes, deletions = JobSizes(engine, queue, storage), Deletions(engine, queue, storage)
+    assert delete_expired(cluster.settings, queue, sizes, deletions) == []
 
     room = storage.job_bytes(finished[2]) + storage.job_bytes(finished[1]) + 1
     by_space = cluster.settings.model_copy(update={"retention_bytes": room})
-    assert delete_expired(by_space, queue, sizes) == [finished[0]]
+    assert delete_expired(by_space, queue, sizes, deletions) == [finished[0]]
     assert queue.get(finished[0]) is None
     assert not storage.job_dir(finished[0]).exists()
 
     time.sleep(0.1)
     by_age = cluster.settings.model_copy(update={"retention_days": 0.05 / 86400})
-    assert set(delete_expired(by_age, queue, sizes)) == set(finished[1:])
+    assert set(delete_expired(by_age, queue, sizes, deletions)) == set(finished[1:])
     assert [record.id for record in queue.newest()] == [queued]
     engine.dispose()
 
 
 def test_what_is_resumed_meanwhile_stays(cluster):
     """Between the janitor's look at the list and its turn, somebody may want a job again."""
-    storage, queue = cluster.storage, cluster.queue
+    queue = cluster.queue
+    engine = database(cluster.settings)
+    deletions = Deletions(engine, queue, cluster.storage)
     job = cluster.submit()
     queue.cancel(job)
     seen = queue.get(job)
     queue.resume(job)
-    assert not delete_if_unchanged(queue, storage, seen)
+    assert not delete_if_unchanged(queue, deletions, seen)
     assert queue.get(job).state is JobState.QUEUED
     queue.cancel(job)
-    assert delete_if_unchanged(queue, storage, queue.get(job))
+    assert delete_if_unchanged(queue, deletions, queue.get(job))
     assert queue.get(job) is None
+    engine.dispose()
+
+
+def test_a_deletion_that_breaks_off(cluster, monkeypatch):
+    """Its janitor does the rest later; a job whose row is still there stays."""
+    storage, queue = cluster.storage, cluster.queue
+    engine = database(cluster.settings)
+    deletions = Deletions(engine, queue, storage)
+    gone, kept, other = (cluster.submit() for _ in range(3))
+    for job in (gone, kept, other):
+        storage.claim(job, 0)
+
+    def stop(*_):
+        raise SystemExit
+
+    for job, owner, name in ((gone, storage, "remove_job"), (kept, queue, "delete")):
+        with monkeypatch.context() as patch, pytest.raises(SystemExit):
+            patch.setattr(owner, name, stop)  # killed here
+            deletions.delete(job)
+    assert storage.job_dir(gone).exists()
+    assert deletions.finish() == []  # somebody may be at it
+    assert deletions.finish(abandoned_seconds=0) == [gone]
+    assert [storage.job_dir(job).exists() for job in (gone, kept, other)] == [False, True, True]
+    assert {record.id for record in queue.newest()} == {kept, other}
+    assert deletions.finish(abandoned_seconds=0) == []
+    engine.dispose()
 
 
 def test_abandoned_uploads(tmp_path):

@@ -25,7 +25,9 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_job_can_be_followed(service: LiveService) -> None:
-    """The request names the job; the worker says when it began and was done; no line is text."""
+    """The request names the job; the worker says when it began and was done, and by which request;
+    no line is text.
+    """  # noqa: D205
     key = {"Authorization": f"Bearer {SECRET}"}
     body = {
         "source": {"shape": "sphere"},
@@ -43,13 +45,22 @@ def test_a_job_can_be_followed(service: LiveService) -> None:
         for _ in stream.iter_lines():  # ends with the job
             pass
     assert service.call("GET", f"/v1/jobs/{job}", headers=key).json()["state"] == "succeeded"
+    again = key | {"X-Request-ID": "click-2"}
+    assert service.call("POST", f"/v1/jobs/{job}/retry", headers=again).status_code == 202
+    with httpx.stream(
+        "GET", events, headers=key | {"Accept": "text/event-stream"}, timeout=600
+    ) as stream:
+        for _ in stream.iter_lines():
+            pass
     service.stop()
     log = (service.data_dir / "service.log").read_text()
     lines = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
     told = [(line["logger"].rpartition(".")[2], line["message"]) for line in lines if
             line.get("job") == job]  # fmt: skip
-    assert told == [("audit", "request"), ("jobs", "begins"), ("jobs", "done")]
-    request, begun, _ = (line for line in lines if line.get("job") == job)
-    assert request["request"] == "click-1" and request["status"] == 202
+    assert told == 2 * [("audit", "request"), ("jobs", "begins"), ("jobs", "done")]
+    about = [line for line in lines if line.get("job") == job]
+    assert [line["request"] for line in about] == 3 * ["click-1"] + 3 * ["click-2"]
+    request, begun, *_ = about
+    assert request["status"] == 202
     assert begun["attempt"] == 1 and begun["worker"]
     assert SECRET not in log

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
 import sys
 import time
 
@@ -11,6 +13,7 @@ import psutil
 import pytest
 
 from chamfer_morph.schemas import JobState
+from morph_engine.child_process import python_command
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -48,6 +51,14 @@ def spare_of(cluster, worker) -> psutil.Process:
 
     cluster.wait_until(is_ready, "the spare engine to be ready")
     return spare
+
+
+def test_an_engine_has_no_network(cluster):
+    """It is in one of its own, which has nobody in it, where the system lets a process go there."""
+    if subprocess.run(python_command("chamfer_morph.worker.sandbox.network")).returncode:
+        pytest.skip("This system gives processes no network of their own.")
+    spare = spare_of(cluster, cluster.worker())
+    assert os.readlink(f"/proc/{spare.pid}/ns/net") != os.readlink("/proc/self/ns/net")
 
 
 def test_each_job_has_a_process_of_its_own(cluster, undisturbed):

@@ -130,7 +130,7 @@ def test_every_change_is_told(service, receiver: Receiver) -> None:
     cluster, client = service
     webhook = client.create_webhook(receiver.url, states=EVERY_STATE)
     ended = client.create_webhook(receiver.url, secret=webhook.secret)
-    Webhooks(cluster._database).add("ann", receiver.url, list(JobState), webhook.secret)
+    Webhooks(cluster.database).add("ann", receiver.url, list(JobState), webhook.secret)
     cluster.start("janitor")
     cluster.worker()
     done = client.submit("sphere", "star", **TINY)
@@ -193,7 +193,7 @@ def test_a_receiver_that_is_away(service) -> None:
 def test_it_is_given_up(new_cluster, database_url, receiver: Receiver) -> None:
     """After so many attempts; the log says so, and what was refused by the address is in it."""
     cluster = new_cluster(database_url, webhook_attempts="2", webhook_retry_seconds="0.1")
-    webhooks = Webhooks(cluster._database)
+    webhooks = Webhooks(cluster.database)
     secret = "whsec_" + base64.b64encode(bytes(24)).decode()
     webhook = webhooks.add("", receiver.url, [JobState.FAILED], secret)
     webhooks.add_test(webhook.id)
@@ -211,7 +211,7 @@ def test_it_is_given_up(new_cluster, database_url, receiver: Receiver) -> None:
 def test_kills_between_a_change_and_its_message(new_cluster, database_url, receiver) -> None:
     """What an API that is killed at once has queued is told; a message is never half sent."""
     cluster = new_cluster(database_url, webhook_networks=LOOPBACK)
-    webhooks = Webhooks(cluster._database)
+    webhooks = Webhooks(cluster.database)
     secret = "whsec_" + base64.b64encode(bytes(24)).decode()
     webhook = webhooks.add("", receiver.url, [JobState.QUEUED], secret)
     with closing(socket.create_server(("127.0.0.1", 0))) as listener:
@@ -231,7 +231,7 @@ def test_kills_between_a_change_and_its_message(new_cluster, database_url, recei
     cluster.wait_until(lambda: len(receiver.received) == 1, "the first attempt")
     os.kill(janitor.pid, signal.SIGKILL)
     janitor.wait()
-    with cluster._database.begin() as connection:  # as if the time of the claim were over
+    with cluster.database.begin() as connection:  # as if the time of the claim were over
         connection.execute(sa.text("update morph_webhook_messages set due_at = 0"))
     cluster.start("janitor")
     cluster.wait_until(lambda: len(receiver.received) == 2, "the second attempt")

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 
 import pytest
 
-from chamfer_morph.schemas import JobState, MeshShape
+from chamfer_morph.schemas import BuiltInShape, JobState, MeshShape
 from chamfer_morph.server.failure_counts import FailureCounts
+from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.alarm import SETTLING_PAUSE_SECONDS, SETTLING_SECONDS
-from chamfer_morph.worker.slots import executor_id
-from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS
+from chamfer_morph.worker.engines.engine import Engine
+from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.liveness import LIMIT_SECONDS
+from chamfer_morph.worker.slots import executor_id, janitor_id
+from morph_engine.presets import configure
+from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS, SPHERE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -37,13 +44,14 @@ def test_from_the_queue_to_the_result_on_another_worker(cluster, undisturbed):
 
 @POSTGRES_BY_FAULT_TESTS
 def test_cancel_and_resume(cluster, undisturbed):
-    """Cancelling ends the engine in two seconds and keeps its frames; resuming uses them."""
+    """Cancelling ends the engine before its job is done; resuming uses the frames it left."""
     worker = cluster.worker()
     job = cluster.submit()
     cluster.wait_for_frame(job, 2)
     engine = cluster.engine(worker)
     cluster.queue.cancel(job)
-    assert cluster.wait_until(lambda: not engine.is_running(), "the engine to end") < 2
+    cluster.wait_until(lambda: not engine.is_running(), "the engine to end")
+    assert 2 < len(cluster.frames(job)) < len(undisturbed)
     assert cluster.job(job).state is JobState.CANCELLED
     assert cluster.storage.result_path(job).exists()
     cluster.queue.resume(job)
@@ -102,11 +110,34 @@ def test_idle_workers_are_told(new_cluster, own_postgres):
         if again not in jobs:
             cluster.queue.cancel(jobs.pop())
     cluster.wait_until(lambda: cluster.job(again).executor == executor_id(1), "its adoption")
+    cluster.wait_until(lambda: Adoptions(cluster.database).total() == 1, "the count of adoptions")
+
+
+@pytest.mark.parametrize("process", ["worker", "janitor"])
+def test_a_probe_tells_a_process_that_hangs(new_cluster, process):
+    """Whoever looks after containers asks so; one that goes on again is alive again."""
+    cluster = new_cluster("")
+    name = executor_id(0) if process == "worker" else janitor_id()
+    file = cluster.settings.data_dir / "locks" / f"{name}.alive"
+
+    def alive() -> bool:
+        return cluster.start("alive", process).wait() == 0
+
+    assert not alive()
+    started = cluster.start("run" if process == "worker" else process)
+    cluster.wait_until(alive, "a sign of life")
+    started.send_signal(signal.SIGSTOP)
+    assert alive()
+    long_ago = time.time() - 2 * LIMIT_SECONDS
+    os.utime(file, (long_ago, long_ago))
+    assert not alive()
+    started.send_signal(signal.SIGCONT)
+    cluster.wait_until(alive, "another sign of life")
 
 
 @POSTGRES_BY_FAULT_TESTS
 def test_failures_are_counted_by_kind(cluster):
-    """Each once; one that fails again counts again."""
+    """Each once; one that fails again counts again; what was before the counting began does not."""
     cluster.worker()
     late = cluster.submit(timeout=0.001)
     gone = cluster.submit(source=MeshShape(mesh="0" * 64))
@@ -121,7 +152,16 @@ def test_failures_are_counted_by_kind(cluster):
         lambda: cluster.job(gone).finished_at not in (None, finished), "the job to fail again"
     )
     assert counts.since_last_call() == {"input": 1}
-    assert FailureCounts(cluster.queue).since_last_call() == {"timeout": 1, "input": 1}
+    later = FailureCounts(cluster.queue)
+    assert later.since_last_call() == {}
+    cluster.queue.delete(late)
+    assert later.since_last_call() == counts.since_last_call() == {}
+    finished = cluster.job(gone).finished_at
+    cluster.queue.retry(gone)
+    cluster.wait_until(
+        lambda: cluster.job(gone).finished_at not in (None, finished), "the job to fail once more"
+    )
+    assert later.since_last_call() == counts.since_last_call() == {"input": 1}
 
 
 @POSTGRES_BY_FAULT_TESTS
@@ -139,6 +179,27 @@ def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     cluster.worker()
     cluster.queue.resume(job)
     cluster.wait_for_state(job, JobState.SUCCEEDED)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="nothing else counts what a process takes")
+def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
+    """Not even between two looks of its worker: it fails with the cause, and has not had it."""
+    job_dir = tmp_path / "jobs" / "job"
+    job_dir.mkdir(parents=True)
+    settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "grid.half_extent": 120}
+    star = BuiltInShape(shape="star")
+    config = configure("fast", settings | {"frames": 1})
+    spec = JobSpec(source=SPHERE, target=star, config=config, device="cpu", timeout_seconds=600)
+    (job_dir / "spec.json").write_text(spec.model_dump_json(), encoding="utf-8")
+    engine = Engine(1, tmp_path / "kept")
+    engine.assign(job_dir, 1, 100_000_000)
+    while not engine.ended:
+        engine.beat()
+        time.sleep(0.1)
+    engine.wait()
+    assert engine.problem is not None and engine.problem.kind == "resources"
+    assert "jobs may have 100 MB" in engine.problem.cause
+    assert engine.peak_memory < 3e9, "which takes 5.8 GB without a limit"
 
 
 def test_a_paused_owner_waits(cluster):

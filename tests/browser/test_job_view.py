@@ -10,10 +10,13 @@ import zipfile
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 import trimesh
 from PIL import Image, ImageChops, ImageStat
 from playwright.sync_api import Page, expect
+
+from tests.patience import until
 
 pytestmark = pytest.mark.browser
 
@@ -368,6 +371,22 @@ def test_a_sketch_of_a_surface_is_lit_like_a_finer_picture(page, done, look):
     assert max(ImageStat.Stat(fine).stddev) > 8  # there is light and shade to be compared
 
 
+def test_what_is_nearer_or_farther_is_blurred_if_one_wants_it(opened):
+    """Depth of field is off at first, in the address, and takes nothing of the light."""
+    sharp = picture(opened)
+    opened.get_by_label("Focus").select_option("Shallow")
+    expect(opened).to_have_url(re.compile("focus=shallow"))
+    shallow = changed(opened, sharp)
+
+    def edges(shot):
+        return np.abs(np.diff(np.asarray(shot.convert("L"), float), axis=1)).mean()
+
+    assert edges(shallow) < 0.8 * edges(sharp)
+    assert ImageStat.Stat(shallow).mean == pytest.approx(ImageStat.Stat(sharp).mean, abs=1.5)
+    opened.get_by_label("Focus").select_option("All sharp")
+    until(lambda: picture(opened) == sharp, "What was blurred stays so.")
+
+
 def test_the_page_says_how_finely_it_draws(page, done):
     """By what pictures take, unless somebody chooses."""
     page.goto(f"/jobs/{done}?shape=points")
@@ -378,12 +397,17 @@ def test_the_page_says_how_finely_it_draws(page, done):
     page.wait_for_url(re.compile("quality=sketch"))
 
 
-def test_what_moves_is_seen_between_frames(opened):
-    """While one frame is told, particles are in several places on their way to the next."""
+@pytest.mark.parametrize("shape", ["points", "surface"])
+def test_what_moves_is_seen_between_frames(opened, shape):
+    """While one frame is told, the matter is in several places on its way to the next."""
+    opened.get_by_label("Show as").select_option(shape)
     opened.get_by_label("Drawing").select_option("sketch")
     opened.get_by_role("combobox", name="Speed").select_option("4")
     opened.get_by_label("Loop").check()
     opened.get_by_role("button", name="Play", exact=True).click()
+    if shape == "surface":  # in motion once all are there
+        expect(opened.locator(".scene-note")).to_contain_text("Particles, until")
+        expect(opened.locator(".scene-note")).to_contain_text("dx from the target")
     pictures = opened.evaluate(
         """async () => {
           const canvas = document.querySelector(".scene canvas");
@@ -438,6 +462,28 @@ def test_the_view_takes_the_window(done, new_page, size, share):
     )
 
 
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+@pytest.mark.parametrize("opened", ["t", "n"], ids=["display", "details"])
+def test_nothing_floats_over_the_shape(done, new_page, size, opened):
+    """All of it is seen beside headline, tools, display and timeline, whatever is open."""
+    width, height = size
+    page = new_page(viewport={"width": width, "height": height})
+    page.goto(f"/jobs/{done}?frame={FRAMES}&shape=points&quality=plain")
+    expect_frame(page, FRAMES)
+    if not page.locator({"t": ".display", "n": ".drawer"}[opened]).is_visible():
+        page.keyboard.press(opened)
+    corner = page.locator(".scene-frame").bounding_box()
+    rgb = np.asarray(picture(page), int)
+    shape = rgb[..., 0] - rgb[..., 2] > 20  # clay is redder than all around it
+    assert shape.sum() > 0.02 * width * height
+    for name in (".headline", ".tools", ".display", ".timeline"):
+        if not (box := page.locator(name).bounding_box()):
+            continue
+        left, above = int(box["x"] - corner["x"]), int(box["y"] - corner["y"])
+        under = shape[above:, left:][: int(box["height"]), : int(box["width"])]
+        assert not under.any(), f"{np.count_nonzero(under)} pixels are under {name}"
+
+
 def test_the_drawer_is_in_the_address(opened):
     """Each sheet by its tab; a reload opens the same one."""
     details(opened, "Settings")
@@ -450,6 +496,47 @@ def test_the_drawer_is_in_the_address(opened):
     opened.keyboard.press("Escape")
     expect(opened.locator(".drawer")).to_be_hidden()
     expect(opened.get_by_role("button", name="Details", exact=True)).to_be_focused()
+
+
+CUT = """() => {
+  const context = document.createElement("canvas").getContext("2d");
+  const seen = (one) => one.offsetParent !== null;
+  const lists = [...document.querySelectorAll(".stage-window select")].filter(seen);
+  const cut = lists.filter((select) => {
+    const { font, paddingLeft, paddingRight } = getComputedStyle(select);
+    context.font = font;
+    const { width } = context.measureText(select.selectedOptions[0].textContent);
+    const arrow = 20;
+    return width + arrow + parseFloat(paddingLeft) + parseFloat(paddingRight) > select.clientWidth;
+  });
+  const wide = [...document.querySelectorAll(".drawer *, .display *")].filter(seen);
+  return [
+    ...cut.map((select) => select.selectedOptions[0].textContent),
+    ...wide.filter((one) => one.matches(".table-scroll, .sheet, .display"))
+      .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.className),
+  ];
+}"""
+"""What is chosen in lists, and tables, that do not fit."""
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_no_words_are_cut(done, new_page, size):
+    """Neither in the display's lists nor on any sheet of the drawer."""
+    page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
+    page.goto(f"/jobs/{done}")
+    expect_frame(page, 1)
+    if not page.locator(".display").is_visible():
+        page.keyboard.press("t")
+    expect(page.get_by_label("Pace")).to_be_visible()
+    assert page.evaluate(CUT) == []
+    for pace in ("Even", "Slow at each shape", "Past it and back"):
+        page.get_by_label("Pace").select_option(pace)
+        assert page.evaluate(CUT) == []
+    for sheet in ("Overview", "Curves", "Settings", "Files"):
+        details(page, sheet)
+        if sheet == "Settings":
+            page.get_by_text(re.compile(r"^All \d+ settings$")).click()
+        assert page.evaluate(CUT) == [], sheet
 
 
 def test_list_of_keys(opened):
@@ -504,6 +591,38 @@ def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service)
     opened.get_by_role("button", name="Export").click()
     with zipfile.ZipFile(saved(opened, re.compile(r"^Save .*\.zip"), tmp_path)) as archive:
         assert {"surface.obj", "surface.pc2"} <= {*archive.namelist()}
+
+
+def test_a_film_of_ones_own(opened, tmp_path):
+    """Size, background, playing time and the places of the eye are those chosen in the page."""
+    details(opened, "Files")
+    opened.get_by_label("Format").select_option("png")
+    opened.get_by_label("Pixels").select_option("1080x1080")
+    opened.get_by_label("Background", exact=True).select_option("transparent")
+    opened.get_by_label("Camera").select_option("keys")
+    opened.locator(".scene").focus()
+    for side in ("1", "3"):
+        opened.keyboard.press(side)
+        opened.keyboard.press("Shift+ArrowLeft" if side == "1" else "Shift+ArrowRight")
+        expect_frame(opened, 1 if side == "1" else FRAMES)
+        opened.get_by_role("button", name="Add this place").click()
+        opened.locator(".scene").focus()
+    places = opened.locator(".camera-keys li")
+    expect(places).to_have_text([re.compile("^0 %: 0° around"), re.compile("^100 %: 90° around")])
+    opened.get_by_role("button", name="Export").click()
+    with zipfile.ZipFile(saved(opened, re.compile(r"^Save .*\.zip"), tmp_path)) as archive:
+        with archive.open("frame-0000.png") as file, Image.open(file) as image:
+            assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0
+    opened.route("**/exports", lambda route: route.abort())
+    opened.get_by_label("Pace").select_option("linear")
+    opened.get_by_label("Rests at each shape").select_option("0.5")
+    opened.get_by_label("Format").select_option("mp4")
+    with opened.expect_request(re.compile("/exports$")) as asked:
+        opened.get_by_role("button", name="Export").click()
+    body = asked.value.post_data_json
+    assert (body["seconds"], body["hold"], body["easing"]) == (5, 0.5, "linear")
+    assert (body["picture"]["background"], body["picture"]["width"]) == ("white", 1080)
+    assert body["picture"]["camera_keys"][1]["azimuth"] == pytest.approx(90, abs=1)
 
 
 def test_the_numbers_are_a_table_too(opened):

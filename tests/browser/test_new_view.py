@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 from playwright.sync_api import expect
 
+from morph_engine.geometry.mesh import load_mesh
+from morph_engine.geometry.shapes import make
 from morph_engine.methods.flow import FlowOptions
 from morph_engine.morphing import prepare
+from morph_engine.results.trajectory import Trajectory
 
 pytestmark = pytest.mark.browser
 
@@ -25,8 +29,15 @@ def method(page, name):
     return page.get_by_role("checkbox", name=name, exact=True)
 
 
+def research(page):
+    """Open what is folded away: methods, presets, all settings."""
+    summary = page.locator("summary").filter(has_text="Research")
+    summary.evaluate("one => one.parentElement.open || one.click()")
+
+
 def make_it_small(page):
     """Few particles and frames, so that the job is quick."""
+    research(page)
     page.get_by_label("Particles per cell edge", exact=True).fill("1")
     page.get_by_label("Frames", exact=True).fill("2")
     page.get_by_label("Frames", exact=True).blur()
@@ -133,6 +144,44 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
     expect(page.get_by_role("listitem").filter(has_text="The source is scaled by")).to_be_visible()
 
 
+@pytest.mark.parametrize(
+    ("scale", "suffix"), [(0.001, ".glb"), (1.0, ".obj"), (1000.0, ".stl")], ids=["mm", "m", "km"]
+)
+def test_meshes_of_any_unit_come_back_where_they_were(service, page, tmp_path, scale, suffix):
+    """Heart to teapot, off-centre, in other units, an STL with z up: no setting is touched.
+
+    The result's maps bring the shapes back to 1e-5 of their size.
+    """
+    z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turn = z_up if suffix == ".stl" else np.eye(3)
+    ends = {"source": ("From", "heart"), "target": ("To", "teapot")}
+    page.goto("/new?methods=dco")
+    for role, (label, name) in ends.items():
+        shape = make(name)
+        vertices = (shape.vertices @ turn.T + [40.0, -90.0, 3.0]) * scale
+        path = tmp_path / f"{name}{suffix}"
+        more = {"digits": 12} if suffix == ".obj" else {}
+        trimesh.Trimesh(vertices, shape.faces, process=False).export(path, **more)
+        card(page, label).get_by_label(f"Mesh file of the {role}").set_input_files(path)
+        expect(card(page, label)).to_contain_text(f"{path.name}:")
+    expect(page.get_by_text("your own coordinates")).to_be_visible()
+    make_it_small(page)
+    page.get_by_role("button", name="Morph").click()
+    page.wait_for_url("**/jobs/*")
+    job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
+    assert job["state"] == "succeeded", job["problem"]
+    assert job["placement"]["up"] == ("z" if suffix == ".stl" else "y")
+    result = tmp_path / "r.vtkhdf"
+    result.write_bytes(service.call("GET", f"/v1/jobs/{job['id']}/result").content)
+    with Trajectory(result) as morph:
+        for share, (role, (_, name)) in enumerate(ends.items()):
+            mesh = load_mesh(tmp_path / f"{name}{suffix}")
+            matrix = morph.run.transform_to("user", float(share))
+            back = morph.run.fitted(role)[0].vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            size = np.ptp(mesh.bounds, axis=0).max()
+            np.testing.assert_allclose(back, mesh.vertices, rtol=0, atol=1e-5 * size)
+
+
 RECORD = """() => {
     const [card] = document.querySelectorAll(".chooser");
     const cost = document.querySelector(".send p");
@@ -223,11 +272,11 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     good(ball)
     act(from_card.get_by_role("radio", name="Text").check, lambda: None)
     assert page.evaluate(RECORD) == NOTHING
-    word = from_card.get_by_label("Word")
+    word = from_card.get_by_role("textbox", name="Text")
     act(lambda: word.press_sequentially("A"), lambda: wait_for_particles(page))
-    seen = act(lambda: word.press_sequentially(" "), lambda: None)
+    seen = act(lambda: word.press("Backspace"), lambda: None)
     assert seen[-1] == NOTHING
-    word.press("Backspace")
+    word.press_sequentially("B")
     wait_for_particles(page)
     word.blur()
     act(from_card.get_by_role("radio", name="Built-in").check, lambda: wait_for_particles(page))
@@ -240,8 +289,8 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     assert {now["name"] for now in seen} == {"", "ball.obj"}
 
 
-def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
-    """Uploads are kept by the service; a word becomes solid letters."""
+def test_a_mesh_sent_before_and_a_text_can_be_chosen(service, mesh_files, page):
+    """Uploads are kept by the service; any text that a font can write becomes solid letters."""
     ball = mesh_files["ball.obj"]
     service.call("POST", "/v1/meshes?name=ball.obj", content=ball.read_bytes())
     page.goto("/new")
@@ -254,14 +303,17 @@ def test_a_mesh_sent_before_and_a_word_can_be_chosen(service, mesh_files, page):
     card(page, "From").get_by_role("radio", name="Mesh file").check()
     page.wait_for_url(chosen)
     card(page, "To").get_by_role("radio", name="Text").check()
-    word = card(page, "To").get_by_label("Word")
-    word.fill("no spaces")
+    word = card(page, "To").get_by_role("textbox", name="Text")
+    word.fill(" ")
     word.blur()
-    expect(card(page, "To")).to_contain_text("letters and digits without spaces")
-    word.fill("HI")
-    with page.expect_response(re.compile(r"/v1/shapes/text%3AHI/particles")) as sampled:
+    expect(card(page, "To")).to_contain_text("Give a letter or more")
+    word.fill("\ue8ff")
+    expect(card(page, "To")).to_contain_text("No installed typeface has the letter")
+    word.fill("½ Ωμέγα & é/#?")
+    with page.expect_response(re.compile(r"/v1/shapes/text%3A.*/particles")) as sampled:
         word.blur()
     assert sampled.value.ok
+    wait_for_particles(page)
 
 
 def test_changed_settings_alone_are_sent(service, page):
@@ -296,6 +348,7 @@ def test_changed_settings_alone_are_sent(service, page):
 def test_settings_are_those_of_the_chosen_methods(page):
     """A method's settings come and go with it; a change that it does not have is not sent."""
     page.goto("/new")
+    research(page)
     page.get_by_text("All settings").click()
     weight, memory = page.locator("[id='set-chamfer.weight']"), page.locator("[id='set-memory']")
     expect(memory).to_have_value(f"{FlowOptions().memory:g}")
@@ -315,6 +368,36 @@ def test_settings_are_those_of_the_chosen_methods(page):
     page.wait_for_url("**/jobs/*")
 
 
+def test_an_artist_sees_no_jargon(page):
+    """Matter and fineness are words; methods and settings are folded away, and stay as left."""
+    page.goto("/new")
+    expect(method(page, "flow")).to_be_hidden()
+    expect(page.get_by_label("Preset", exact=True)).to_be_hidden()
+    page.get_by_label("Matter").select_option("fluid")
+    page.get_by_label("Fineness").select_option("2")
+    page.route("**/v1/jobs", lambda route: route.abort())
+    with page.expect_request(re.compile("/v1/jobs$")) as sent:
+        page.get_by_role("button", name="Morph").click()
+    body = sent.value.post_data_json
+    assert (body["preset"], body["method"]) == ("fluid", "flow")
+    assert body["overrides"] == {"sampling.points_per_cell_edge": 2}
+    research(page)
+    expect(page.get_by_label("Preset", exact=True)).to_have_value("fluid")
+    edge = page.get_by_label("Particles per cell edge", exact=True)
+    edge.fill("1")
+    edge.blur()
+    page.get_by_label("Preset", exact=True).select_option("published")
+    expect(page.get_by_label("Fineness")).to_have_value("")
+    expect(page.get_by_label("Matter")).to_have_value("")
+    page.goto("/new")
+    expect(method(page, "flow")).to_be_visible()
+    page.get_by_text("Research", exact=True).click()
+    page.goto("/new?methods=joint")
+    expect(method(page, "joint")).to_be_checked()
+    expect(method(page, "joint")).to_be_visible()
+    expect(page.get_by_label("Matter")).to_be_hidden()
+
+
 def test_an_unfinished_choice_is_not_sent(page):
     """Where a kind of shape is chosen and no shape, nothing is morphed in its place."""
     sent = []
@@ -327,9 +410,9 @@ def test_an_unfinished_choice_is_not_sent(page):
     expect(card(page, "From").get_by_label("Mesh file of the source")).to_be_focused()
     card(page, "From").get_by_role("radio", name="Built-in").check()
     card(page, "To").get_by_role("radio", name="Text").check()
-    card(page, "To").get_by_label("Word").fill("no spaces")
+    card(page, "To").get_by_role("textbox", name="Text").fill("  ")
     morph.click()
-    expect(card(page, "To").get_by_label("Word")).to_be_focused()
+    expect(card(page, "To").get_by_role("textbox", name="Text")).to_be_focused()
     assert "POST" not in sent
 
 
@@ -355,6 +438,7 @@ def test_what_is_being_typed_stays(page):
     held = []
     page.route("**/v1/presets/published?*", lambda route: held.append(route))
     page.goto("/new")
+    research(page)
     with page.expect_request("**/v1/presets/published?*"):
         page.get_by_label("Preset", exact=True).select_option("published")
     frames = page.get_by_label("Frames", exact=True)
@@ -485,17 +569,19 @@ def test_a_morph_with_the_keyboard_alone(service, page):
     tab_to(card(page, "From").get_by_label("sphere"))
     page.keyboard.press("ArrowRight")
     expect(card(page, "From").get_by_label("torus")).to_be_checked()
-    tab_to(method(page, "flow"))
-    tab_to(method(page, "dco"))
-    page.keyboard.press("Space")
     tab_to(page.get_by_label("Frames", exact=True))
     page.keyboard.press("ControlOrMeta+A")
     page.keyboard.type("2")
+    tab_to(page.get_by_label("Name"))
+    page.keyboard.type("typed")
+    tab_to(page.locator("summary").filter(has_text="Research"))
+    page.keyboard.press("Space")
+    tab_to(method(page, "flow"))
+    tab_to(method(page, "dco"))
+    page.keyboard.press("Space")
     tab_to(page.get_by_label("Particles per cell edge", exact=True))
     page.keyboard.press("ControlOrMeta+A")
     page.keyboard.type("1")
-    tab_to(page.get_by_label("Name"))
-    page.keyboard.type("typed")
     page.keyboard.press("Enter")
     page.wait_for_url("**/?sweep=*")
     expect(page.get_by_role("link", name="typed", exact=True)).to_have_count(2)

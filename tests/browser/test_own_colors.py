@@ -59,12 +59,13 @@ def colored(service, tmp_path_factory) -> str:
 
 
 def sides(page: Page) -> tuple[np.ndarray, np.ndarray]:
-    """Median colour to the left and to the right of the middle of the view, RGB."""
+    """Median colour to the left and to the right of the middle of the shape, RGB."""
     pixels = np.asarray(picture(page), float)
-    height, width = pixels.shape[:2]
-    reach = height // 8
-    rows = pixels[height // 2 - reach // 2 : height // 2 + reach // 2]
-    left, right = (rows[:, width // 2 + side - 20 : width // 2 + side] for side in (-reach, reach))
+    reach = len(pixels) // 8
+    of_shape = np.nonzero(np.ptp(pixels, axis=2) > 25)  # all around it is nearly grey
+    row, column = (int(np.median(along)) for along in of_shape)
+    rows = pixels[row - reach // 2 : row + reach // 2]
+    left, right = (rows[:, column + side - 20 : column + side] for side in (-reach, reach))
     return np.median(left, axis=(0, 1)), np.median(right, axis=(0, 1))
 
 

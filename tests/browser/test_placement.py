@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import json
 import re
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import expect
 
 from morph_engine.results.trajectory import Trajectory
@@ -13,6 +17,9 @@ from morph_engine.results.trajectory import Trajectory
 pytestmark = pytest.mark.browser
 
 AXES = ("x", "y", "z")
+
+SETTLED = 800
+"""After this long [ms] a small picture is drawn in full."""
 
 
 def card(page, label):
@@ -24,6 +31,7 @@ def card(page, label):
 def form(page, mesh_files):
     """A new morph of few particles and frames, from a sphere to a box that is an STL."""
     page.goto("/new")
+    page.get_by_text("Research", exact=True).click()
     page.get_by_label("Particles per cell edge", exact=True).fill("1")
     page.get_by_label("Frames", exact=True).fill("3")
     page.get_by_label("Frames", exact=True).blur()
@@ -98,24 +106,81 @@ def test_built_in_shapes_are_turned_too(page):
     settle(page)
 
 
-def test_handles_in_the_picture_move_the_numbers(form):
-    """A ring that is drawn turns the shape, and an arrow moves it; then the particles are new."""
-    target = card(form, "To")
-    target.get_by_text("Turn and place").click()
-    for mode, label in (("Turn", "Turn about"), ("Move", "Move along")):
-        target.get_by_role("button", name=mode, exact=True).click()
-        numbers = [target.get_by_label(f"{label} {axis}, target") for axis in AXES]
-        for reach in range(20, 150, 4):  # until a handle is under the pointer
-            x, y = middle(form, "To")
-            form.mouse.move(x + reach, y + (reach // 20))
-            form.mouse.down()
-            form.mouse.move(x + reach - 20, y - 40, steps=4)
-            form.mouse.up()
-            if any(float(number.input_value()) for number in numbers):
-                break
-        else:
-            pytest.fail(f"no handle to {mode.lower()} by")
-        settle(form)
+def width_of(page, label):
+    """How wide the shape is in its picture [px]."""
+    shot = Image.open(io.BytesIO(card(page, label).locator("canvas").screenshot())).convert("RGB")
+    rgb = np.asarray(shot, int)
+    return np.ptp(np.flatnonzero((rgb[..., 0] - rgb[..., 2] > 20).any(axis=0)))
+
+
+def pull(page, label, start, by):
+    """Draw what is so far from the middle of a picture by so much [px]."""
+    x, y = middle(page, label)
+    x, y = x + start[0], y + start[1]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + by[0], y + by[1], steps=5)
+    page.mouse.up()
+
+
+@pytest.mark.parametrize(("label", "role"), [("From", "source"), ("To", "target")])
+def test_handles_move_scale_and_turn_by_as_much_as_they_are_drawn(
+    service, page, mesh_files, label, role
+):
+    """A ball 12 wide is moved by what the pointer goes, scaled as far as it goes, and turned.
+
+    Perspective shows a ball 4 % wider than its diameter; particles and pixels have the rest of 8.
+    """
+    settings = json.dumps({"sampling.points_per_cell_edge": 2, "frames": 2})
+    page.goto(f"/new?{urlencode({'overrides': settings})}")
+    for end in ("From", "To"):
+        chooser = card(page, end).locator("input[type=file]")
+        chooser.set_input_files(mesh_files["ball.obj"])
+        expect(card(page, end).get_by_text("ball.obj: ")).to_be_visible()
+    settle(page)
+    ball = card(page, label)
+    ball.get_by_text("Turn and place").click()
+    page.get_by_role("button", name="Morph", exact=True).hover()  # away from the handles
+    ball.get_by_role("application").press("1")  # from the front
+    expect(ball.get_by_role("application")).not_to_have_attribute("aria-busy", "true")
+    page.wait_for_timeout(SETTLED)
+    grid_units = 12 / width_of(page, label)
+
+    def numbers(words):
+        return [float(ball.get_by_label(f"{words} {axis}, {role}").input_value()) for axis in AXES]
+
+    ball.get_by_role("button", name="Move", exact=True).click()
+    page.wait_for_timeout(SETTLED)
+    pull(page, label, (60, 4), (40, 0))
+    expect(page).to_have_url(re.compile(rf"placement\.{role}\.move"))
+    settle(page)
+    assert numbers("Move along") == pytest.approx([40 * grid_units, 0, 0], rel=0.08, abs=0.01)
+    assert numbers("Turn about") == [0, 0, 0]
+    ball.get_by_role("button", name="Back to where it was").click()
+    expect(page).not_to_have_url(re.compile("placement"))
+    settle(page)
+
+    ball.get_by_role("button", name="Scale", exact=True).click()
+    page.wait_for_timeout(SETTLED)
+    pull(page, label, (60, 4), (-15, 0))
+    expect(page).to_have_url(re.compile(rf"placement\.{role}\.scale"))
+    settle(page)
+    scale = float(ball.get_by_label("Size").input_value())
+    assert scale == pytest.approx(45 / 60, abs=0.03)
+    assert numbers("Move along") == [0, 0, 0]
+
+    ball.get_by_role("button", name="Turn", exact=True).click()
+    page.wait_for_timeout(SETTLED)
+    pull(page, label, (65, -65), (-30, -30))
+    expect(page).to_have_url(re.compile(rf"placement\.{role}\.rotate"))
+    settle(page)
+    turned = numbers("Turn about")
+    assert abs(turned[2]) > 5 and turned[:2] == pytest.approx([0, 0], abs=0.5)
+    _, config = config_of(service, page)
+    usual = {"up": "auto", "rotate": [0, 0, 0], "scale": 1, "move": [0, 0, 0]}
+    placed = config["placement"]
+    assert placed.pop(role) == usual | {"scale": scale, "rotate": turned}
+    assert list(placed.values()) == [usual]
 
 
 def test_what_is_turned_unasked_is_left_with_one_click(form):

@@ -28,6 +28,7 @@ def test_axe_finds_nothing_serious(settled, new_page, serious_faults, path, sche
     page = new_page(color_scheme=scheme)
     page.goto(path)
     if path.startswith("/new"):
+        page.get_by_text("Research", exact=True).click()
         page.get_by_text("All settings").click()
         expect(page.locator("canvas").first).to_be_visible()
     else:
@@ -41,6 +42,7 @@ def test_a_phone_needs_no_sideways_scroll(settled, new_page, path):
     page = new_page(viewport={"width": 390, "height": 844}, has_touch=True)
     page.goto(path)
     if path == "/new":
+        page.get_by_text("Research", exact=True).click()
         page.get_by_text("All settings").click()
     else:
         expect(page.get_by_role("link", name="a job that is done", exact=True)).to_be_visible()

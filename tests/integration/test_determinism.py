@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from morph_engine import Trajectory
+from tests.patience import PATIENCE
 
 
 def test_positions_do_not_depend_on_threads(tmp_path: Path) -> None:
@@ -23,7 +24,7 @@ def test_positions_do_not_depend_on_threads(tmp_path: Path) -> None:
             [sys.executable, "-m", "chamfer_morph", "run", "sphere", "torus", "--method", "joint",
              "--frames", "6", "--points-per-cell-edge", "2", "--threads", str(threads),
              "--set", "chamfer.start_frame=0", "--device", "cpu", "--out", str(out), "--json"],
-            check=True, capture_output=True, timeout=300,
+            check=True, capture_output=True, timeout=PATIENCE,
         )  # fmt: skip
         with Trajectory(out) as trajectory:
             positions.append(trajectory.positions(5))

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.histories.grounds import DatabaseGround, MemoryGround
 from benchmarks.histories.history import Violation, World
-from chamfer_morph.worker import janitor, locks
+from chamfer_morph.worker import event_log, janitor, locks
 from chamfer_morph.worker.locks import FileLock
 from chamfer_morph.worker.storage import Storage
 
@@ -45,7 +45,11 @@ def quiet() -> Iterator[None]:
 
 
 def test_histories_keep_the_rules(memory: World) -> None:
-    """No job is lost, runs twice at once, waits out of turn, or has its outcome overwritten."""
+    """No job is lost, runs twice at once, waits out of turn, or has its outcome overwritten.
+
+    After a crash at most the frame that was under way is computed again, and events tell of each
+    frame once, in their order.
+    """
     for number in range(IN_MEMORY):
         memory.play(number)
 
@@ -82,6 +86,22 @@ def test_lease_that_is_taken_twice_is_found(world: World, monkeypatch, tmp_path:
     for module in (locks, janitor):
         monkeypatch.setattr(module, "try_lock", always)
     require_found(world, "second worker")
+
+
+def test_resume_that_begins_anew_is_found(world: World, monkeypatch) -> None:
+    """Whatever a job has computed is cleared whenever a worker takes it up."""
+
+    def clear(storage, job, *, wait_seconds):
+        storage.remove_job(job)
+
+    monkeypatch.setattr(Storage, "discard_if_marked", clear)
+    require_found(world, "more is computed again")
+
+
+def test_frames_that_are_told_twice_are_found(world: World, monkeypatch) -> None:
+    """An engine that goes on forgets what others were told before."""
+    monkeypatch.setattr(event_log, "told_frames", lambda events: set())
+    require_found(world, "events do not tell")
 
 
 def require_found(world: World, rule: str) -> None:

@@ -151,7 +151,8 @@ def test_who_waits_is_told_that_the_disk_refuses(folder: Path) -> None:
         kind = turns.kind(GIB)
         async with kind("ann"):
             waiting = asyncio.create_task(kind("bob").__aenter__())
-            await asyncio.sleep(0.2)
+            while len([*folder.iterdir()]) < 2:
+                await asyncio.sleep(0.01)
             lock = folder.with_name("children.lock")
             lock.unlink()
             lock.mkdir()

@@ -23,6 +23,7 @@ def fails_with(error):
     [
         (MeshError("It is flat.", "Give it a volume."), 2),
         (MemoryError(), 2),
+        (RuntimeError("[pool.cpp:62] Virtual memory allocation (235 B) failed."), 2),
         (ZeroDivisionError("division by zero"), 1),
     ],
 )

@@ -36,6 +36,14 @@ def test_every_command_has_an_example() -> None:
     assert set(EXAMPLES) == set(COMMANDS)
 
 
+def test_a_group_has_examples_of_its_commands() -> None:
+    """Whoever asks for help on `morph keys` sees how each of its commands is called."""
+    keys = GROUP.get_command(ROOT, "keys")
+    shown = keys.get_help(typer.Context(keys, info_name="keys", parent=ROOT)) + keys.epilog
+    for name in keys.commands:
+        assert f"morph keys {name}" in shown
+
+
 @pytest.mark.parametrize("path", EXAMPLES)
 def test_examples_can_be_typed(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their options exist and take such values."""

@@ -14,7 +14,7 @@ import pytest
 
 from chamfer_morph.client import AsyncMorphClient, MorphClient, retry
 from chamfer_morph.client.errors import ServiceError
-from morph_engine.errors import MorphError, ResultError
+from morph_engine.errors import ConfigError, MorphError, ResultError
 
 JOB_ID = "0" * 26
 STATE_PATH = f"/v1/jobs/{JOB_ID}"
@@ -460,6 +460,18 @@ def test_the_async_client_does_the_same(tmp_path):
     with serving(*answers) as (server, _):
         assert asyncio.run(use(server)) == ([1, 2, 2], [JOB_ID])
     assert (tmp_path / "r.vtkhdf").read_bytes() == RESULT
+
+
+def test_a_wrong_name_is_told_before_a_file_is_sent(tmp_path):
+    """Large files do not travel for a typing error."""
+    path = tmp_path / "a.obj"
+    path.write_bytes(RESULT)
+    fast, flow = ({"name": name, "description": ""} for name in ("fast", "flow"))
+    with serving(as_json([fast]), as_json([flow])) as (server, requests):
+        with MorphClient(server) as client, pytest.raises(ConfigError, match="flwo") as caught:
+            client.submit(path, "sphere", method="flwo")
+    assert "'flow'" in caught.value.remedy
+    assert [path for _, path, *_ in requests] == ["/v1/presets", "/v1/methods"]
 
 
 def test_the_async_client_streams_an_upload(tmp_path):

@@ -28,6 +28,12 @@ def test_memory_knows_the_grid(method: str) -> None:
     assert megabytes(coarse, 10_000) == pytest.approx(716, rel=0.15)
 
 
+def test_memory_knows_the_grid_of_transport() -> None:
+    """As measured: 2830 MB with 240 cells along an axis, and few particles."""
+    settings = {"method": "transport", "grid.half_extent": 120, "sampling.points_per_cell_edge": 1}
+    assert megabytes(configure(overrides=settings), 500) == pytest.approx(2830, rel=0.15)
+
+
 def test_the_grid_of_the_flow_holds_both_shapes() -> None:
     """As measured, with 4 particles per cell edge: 325, 470 and 809 MB for balls of such radii."""
     config = configure(overrides={"sampling.points_per_cell_edge": 4})
@@ -41,18 +47,26 @@ def test_without_a_grid_its_spacing_does_not_matter() -> None:
     assert megabytes(fine) == megabytes(coarse)
 
 
-def test_a_container_has_what_it_is_given(tmp_path: Path) -> None:
-    """The limit of its group, and what it has left; no limit means the machine's memory."""
+def test_a_process_has_what_its_groups_are_given(tmp_path: Path) -> None:
+    """The smallest limit of those around it, and what is left; no limit: the machine's memory."""
     machine = psutil.virtual_memory()
     assert total_memory(tmp_path) == machine.total
-    (tmp_path / "memory.max").write_text("max\n")
-    (tmp_path / "memory.current").write_text("1000\n")
+    membership = tmp_path / "proc/self/cgroup"
+    membership.parent.mkdir(parents=True)
+    membership.write_text("5:memory:/job\n0::/slice/service\n")
+    service = tmp_path / "sys/fs/cgroup/slice/service"
+    service.mkdir(parents=True)
+    (service / "memory.max").write_text("max\n")
+    (service / "memory.current").write_text("1000\n")
     assert total_memory(tmp_path) == machine.total
-    (tmp_path / "memory.max").write_text("5000\n")
+    (service.parent / "memory.max").write_text("5000\n")
+    (service.parent / "memory.current").write_text("1000\n")
     assert total_memory(tmp_path) == 5000
     assert free_memory(tmp_path) == 4000
-    older = tmp_path / "memory"
-    older.mkdir()
+    (service.parent / "memory.stat").write_text("anon 700\ninactive_file 300\n")
+    assert free_memory(tmp_path) == 4300
+    older = tmp_path / "sys/fs/cgroup/memory/job"
+    older.mkdir(parents=True)
     (older / "memory.limit_in_bytes").write_text("3000\n")
     (older / "memory.usage_in_bytes").write_text("4000\n")
     assert (total_memory(tmp_path), free_memory(tmp_path)) == (3000, 0)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import sqlite3
+import sys
 import typing
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -15,6 +19,7 @@ from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker import dbos_adapter
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.job_state import job_state
+from chamfer_morph.worker.locks import AdvisoryLock
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.settings import Settings
 from morph_engine.presets import configure
@@ -71,10 +76,46 @@ def test_equal_jobs_are_found_by_an_index(queue: JobQueue) -> None:
     assert "morph_jobs_by_run" in str(plan)
 
 
+def test_finished_jobs_cost_a_submit_nothing(queue: JobQueue) -> None:
+    """What is asked for by a submit, and by an owner's wishes, finds queued jobs by an index."""
+    plans: list[str] = []
+
+    def explain(_: object, cursor: sqlite3.Cursor, statement: str, values: tuple, *___: object):
+        if statement.startswith(("SELECT", "UPDATE")):
+            again = cursor.connection.execute(f"explain query plan {statement}", values)
+            plans.extend(f"{row[-1]} for {statement}" for row in again.fetchall())
+
+    spec = JobSpec(
+        source=BuiltInShape(shape="sphere"),
+        target=BuiltInShape(shape="star"),
+        config=configure("fast").model_dump(mode="json"),
+        device="cpu",
+        timeout_seconds=60,
+    )
+    engines = (queue._engine, queue._workflows._reader)
+    for engine in engines:
+        sa.event.listen(engine, "before_cursor_execute", explain)
+    jobs = [new_id(), new_id()]
+    for priority, job in enumerate(reversed(jobs), 1):  # the second has to overtake the first
+        queue.enqueue(spec, job_id=job, owner="ann", priority=10 - priority)
+    queue.put_first(jobs[0])
+    queue.pause("ann")
+    queue.unpause("ann")
+    assert queue.unfinished("ann") == 2
+    assert [queue.position(job) for job in jobs] == [0, 1]
+    assert not queue.running() and queue.waiting_since()
+    for engine in engines:
+        sa.event.remove(engine, "before_cursor_execute", explain)
+    assert plans
+    assert not [
+        plan for plan in plans if "SCAN" in plan and "workflow_status" in plan.split(" for ")[0]
+    ]
+
+
 def test_every_status_is_known() -> None:
     """Each stands for a state of a job."""
     for status in typing.get_args(_sys_db.WorkflowStatuses):
-        assert isinstance(job_state(status), JobState)
+        assert isinstance(job_state(status, late=False), JobState)
 
 
 def test_another_dbos_is_noticed(queue: JobQueue, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,3 +126,44 @@ def test_another_dbos_is_noticed(queue: JobQueue, monkeypatch: pytest.MonkeyPatc
         pytest.raises(RuntimeError, match=r"DBOS \d.*workflow_status has no colour"),
     ):
         another.migrate()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="options of sockets as of Linux")
+def test_no_connection_waits_long_for_a_silent_postgres(postgres: str, tmp_path: Path) -> None:
+    """Those of all pools and that of a lock end when nothing comes or goes for half a minute."""
+    settings = Settings(_env_file=None, data_dir=tmp_path, database_url=postgres)
+    lock = AdvisoryLock.take(settings.system_database_url, "worker of a test")
+    assert lock is not None
+    engines = [dbos_adapter.database(settings, autocommit=each) for each in (False, True)]
+    with ExitStack() as stack:
+        stack.callback(lock.release)
+        connections = [lock._connection]
+        for engine in engines:
+            stack.callback(engine.dispose)
+            found = stack.enter_context(engine.connect())
+            connections.append(found.connection.driver_connection)
+        for connection in connections:
+            parameters = connection.info.get_parameters()
+            assert 0 < int(parameters["connect_timeout"]) <= 10
+            with socket.socket(fileno=os.dup(connection.fileno())) as link:
+                options = [socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT]
+                idle, interval, count = (link.getsockopt(socket.IPPROTO_TCP, o) for o in options)
+                assert link.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+                assert idle + interval * count <= 30
+                unsent = link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+                assert 0 < unsent <= 30_000
+
+
+def test_settings_of_sessions(postgres: str) -> None:
+    """Those of ours and those of the URL hold."""
+    url = sa.make_url(postgres).update_query_dict({"options": "-c work_mem=7MB"})
+    engine = dbos_adapter.database(
+        Settings(_env_file=None, database_url=url.render_as_string(hide_password=False))
+    )
+    with engine.connect() as connection:
+        for name, value in {
+            "idle_in_transaction_session_timeout": "15s",
+            "work_mem": "7MB",
+        }.items():
+            assert connection.execute(sa.text(f"show {name}")).scalar_one() == value
+    engine.dispose()

@@ -17,6 +17,7 @@ from morph_engine.ingest import (
     AMBIGUOUS_LIMIT,
     ambiguous_winding,
     check_mesh,
+    fitted,
     inspect_mesh,
 )
 
@@ -117,12 +118,21 @@ def test_single_sheet_is_refused():
         check_mesh(make_mesh(vertices, faces, name="sheet"))
 
 
-def test_reversed_faces_are_refused():
-    """A closed surface with half its faces reversed has no clear inside."""
+def test_reversed_faces_are_turned():
+    """A closed surface with half its faces reversed can be filled, and the report says so."""
     faces = np.where(BALL.triangles_center[:, :1] > 0, BALL.faces, BALL.faces[:, ::-1])
-    with pytest.raises(MeshError, match="seams of reversed faces") as caught:
-        check_mesh(make_mesh(BALL.vertices, faces, name="ball"))
-    assert "Recalculate Outside" in caught.value.remedy
+    mesh = make_mesh(BALL.vertices, faces, name="ball")
+    check_mesh(mesh)
+    report = inspect_mesh(mesh)
+    assert report.watertight and "looked inwards and have been turned" in report.warnings[0]
+
+
+def test_an_opening_is_told_in_the_coordinates_of_the_file():
+    """However a run would scale the mesh, one finds the place in the program it comes from."""
+    bowl = without_cap(0.0)
+    own = make_mesh(bowl.vertices / 100 + [5, 0, 0], bowl.faces, name="bowl")
+    with pytest.raises(MeshError, match=r"centre \(5, .* and size \(0\.14, 0\.14,"):
+        check_mesh(fitted(own, "auto")[0], own=own)
 
 
 def test_cavity_is_kept_and_named():

@@ -11,6 +11,7 @@ import trimesh
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import FILE_BYTES_LIMIT, load_mesh, make_mesh
+from morph_engine.geometry.topology import Topology
 
 BOX = trimesh.creation.box(extents=(6.0, 8.0, 10.0))
 FACE_ROWS = "".join(f"f {a} {b} {c}\n" for a, b, c in (BOX.faces + 1).tolist())
@@ -175,6 +176,36 @@ def test_inside_out_mesh_is_turned():
     mesh = make_mesh(BOX.vertices, BOX.faces[:, ::-1], name="box")
     assert mesh.volume == pytest.approx(480)
     assert mesh.repairs == ("The surface was inside out and has been turned.",)
+
+
+def test_faces_that_disagree_are_turned_outwards(tmp_path):
+    """A closed scan with some normals flipped, its triangles apart as in an STL, is the solid."""
+    ball, hole = trimesh.creation.icosphere(2, 3.0), trimesh.creation.icosphere(1, 1.0)
+    hole.invert()
+    flipped = ball.faces.copy()
+    flipped[::3] = flipped[::3, ::-1]
+    solid = [trimesh.Trimesh(ball.vertices, flipped, process=False), hole]
+    trimesh.util.concatenate(solid).export(tmp_path / "scan.stl")
+    mesh = load_mesh(tmp_path / "scan.stl")
+    assert mesh.repairs == (f"{len(flipped[::3])} faces looked inwards and have been turned.",)
+    assert mesh.volume == pytest.approx(ball.volume + hole.volume)  # a cavity stays one
+    assert hole.volume < 0
+    assert Topology(mesh.vertices, mesh.faces).watertight
+
+
+def test_turned_faces_keep_their_colours(tmp_path):
+    """Each corner has the colour that it had, whichever way its face looked."""
+    ball = trimesh.creation.icosphere(1, 3.0)
+    flipped = ball.faces.copy()
+    flipped[::2] = flipped[::2, ::-1]
+    shades = np.uint8(np.clip(40 * ball.vertices + 127, 0, 255))
+    scan = trimesh.Trimesh(ball.vertices, flipped, vertex_colors=shades, process=False)
+    scan.export(tmp_path / "scan.ply")
+    mesh = load_mesh(tmp_path / "scan.ply")
+    assert mesh.volume == pytest.approx(ball.volume)
+    corners = mesh.vertices[mesh.faces]
+    assert mesh.colors is not None
+    assert np.abs(mesh.colors.corners - np.clip(40 * corners + 127, 0, 255)).max() <= 1
 
 
 def test_repeated_faces_are_dropped():

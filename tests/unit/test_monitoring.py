@@ -59,6 +59,18 @@ def test_expressions(expression: str, labels: dict[str, set[str]]) -> None:
         assert any(wanted <= labels[name] for name, _ in found)
 
 
+SHARED = ("morph_job_failures_total", "morph_adoptions_total")
+"""Counters that every API process tells of the whole service."""
+
+
+@pytest.mark.parametrize("expression", [*alerts().values(), *panels().values()])
+def test_a_failure_is_counted_once(expression: str) -> None:
+    """Each API process counts every failure, so that a sum over them would be too much."""
+    for name in SHARED:
+        if name in expression:
+            assert re.search(rf"max(?: by \(kind\) )?\((?:increase|rate)\({name}", expression)
+
+
 def test_panels_do_not_overlap() -> None:
     """Each place of the grid of 24 columns belongs to one panel at most."""
     board = json.loads((FOLDER / "dashboard.json").read_text(encoding="utf-8"))

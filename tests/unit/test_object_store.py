@@ -16,7 +16,7 @@ from chamfer_morph.worker.object_store.manifest import Manifest
 from chamfer_morph.worker.object_store.shared_storage import SharedStorage
 from chamfer_morph.worker.storage import OwnershipLostError, StoreUnavailableError
 from morph_engine.errors import ConfigError
-from tests.object_store import BUCKET, s3_server
+from tests.object_store import BUCKET, Link, s3_server
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +219,90 @@ class ForgetfulBucket(Bucket):
         """Write, then find that somebody has written."""
         super().replace(key, data, etag)
         return super().replace(key, data, etag)
+
+
+def small_parts(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    """Let nothing larger be sent or asked for at once."""
+    monkeypatch.setattr("chamfer_morph.worker.object_store.bucket.PART_BYTES", size)
+    monkeypatch.setattr("chamfer_morph.worker.object_store.job_mirror.PART_BYTES", size)
+
+
+def test_large_files_over_a_slow_link(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What takes longer than one request may take goes in parts, there and back."""
+    link = Link(("127.0.0.1", int(address.rpartition(":")[2])))
+    link.rate = 1 << 17
+    set_credentials(monkeypatch, f"http://127.0.0.1:{link.port}")
+    small_parts(monkeypatch, 1 << 15)
+    monkeypatch.setattr("chamfer_morph.worker.object_store.bucket.REQUEST_SECONDS", 3)
+    bucket = Bucket.open(f"s3://{BUCKET}/{tmp_path.name}")
+    large = os.urandom((1 << 19) + 1)  # four seconds
+    worker, reader = (JobMirror(bucket, "job", tmp_path / name / "job") for name in "ab")
+    worker.claim(0)
+    (worker.folder / "result").write_bytes(large)
+    worker.publish()
+    reader.fetch()
+    assert (reader.folder / "result").read_bytes() == large
+
+    upload = tmp_path / "upload"
+    upload.write_bytes(large)
+    storage_of(tmp_path / "c", bucket).add_mesh(upload, "digest", "stl", {"name": "x.stl"})
+    found = storage_of(tmp_path / "d", bucket).mesh_file("digest")
+    assert found is not None and found.read_bytes() == large
+    link.close()
+
+
+class BreakingBucket(Bucket):
+    """Does not answer every third write."""
+
+    def __init__(self, bucket: Bucket) -> None:
+        super().__init__(bucket._store)
+        self.writes = 0
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write, and tell nothing of it sometimes."""
+        super().put(key, data)
+        self.writes += 1
+        if self.writes % 3 == 0:
+            raise StoreUnavailableError("The object store does not answer.", "")
+
+
+def test_what_breaks_off_goes_on_and_leaves_nothing(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts that have arrived are not sent again, and those that nobody needs go."""
+    small_parts(monkeypatch, 4)
+    breaking = BreakingBucket(bucket)
+    worker = JobMirror(breaking, "job", tmp_path / "job")
+    worker.claim(0)
+    write(worker, {"result": "0123456789" * 4})
+    for _ in range(4):
+        with pytest.raises(StoreUnavailableError):
+            worker.publish()
+    worker.publish()
+    reader = JobMirror(bucket, "job", tmp_path / "reader")
+    reader.fetch()
+    assert files(reader) == files(worker)
+    assert breaking.writes == 14  # ten parts, four of them twice
+    assert len(bucket.keys("jobs/job/files/")) == 10
+
+
+def test_what_a_killed_worker_has_sent_goes_with_the_next_claim(
+    host: Callable[[str], JobMirror], bucket: Bucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody else knows of it; what was published stays."""
+    small_parts(monkeypatch, 4)
+    first, second = host("first"), host("second")
+    first.claim(0)
+    write(first, {"spec.json": "{}"})
+    first.publish()
+    write(first, {"result": "0123456789"})
+    first._send("result", (0, 10), [])  # and then the machine stops
+    assert len(bucket.keys("jobs/job/files/")) == 4
+    second.claim(0)
+    assert len(bucket.keys("jobs/job/files/")) == 1
+    assert files(second) == {"spec.json": "{}"}
 
 
 def test_lost_answers(bucket: Bucket, tmp_path: Path) -> None:

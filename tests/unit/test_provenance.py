@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from datetime import datetime, timezone
 
 import pytest
 
 from morph_engine.code_digest import code_digest
+from morph_engine.machine_cores import usable_cores
 from morph_engine.results import provenance
 from morph_engine.results.provenance import Provenance, provenance_by_now
 
@@ -60,7 +60,7 @@ def test_this_process_is_named_with_what_it_has_cost(float32_device):
     second = provenance_by_now("dco")
     assert first.code == code_digest("dco")
     assert (first.device, first.gpu) == ("cpu", "") and first.cpu
-    assert first.threads == os.cpu_count()
+    assert first.threads == usable_cores()
     assert abs((datetime.now(timezone.utc) - first.date).total_seconds()) < 60
     assert 0 < first.cpu_seconds < second.cpu_seconds
     assert 0 < first.wall_seconds < second.wall_seconds

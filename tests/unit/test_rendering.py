@@ -12,11 +12,13 @@ import matplotlib
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from morph_engine import srgb
 from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.rendering import colormap
+from morph_engine.rendering.contact_shadow import DARKEST, Ground
 from morph_engine.rendering.materials import MATERIALS, Material, bent, light
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
@@ -99,6 +101,89 @@ def test_thumbnail_is_a_small_transparent_picture(lattice_ball):
     assert image.shape == (180, 240, 4)
     assert image[90, 120, 3] == 255
     assert not image[[0, 0, -1, -1], [0, -1, 0, -1], 3].any()
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_light_comes_from_above_however_steep_the_view(lattice_ball, up):
+    """Between two views that hardly differ, nothing changes at once."""
+    ball = reconstruct_surface(lattice_ball(3.0, 0.5), 0.5)
+    steep, steeper = (
+        picture(
+            ball.vertices, faces=ball.faces, spacing=0.5, size=SMALL, material="porcelain",
+            view=Camera(look(azimuth=0, elevation=elevation, up=up), np.zeros(3), 5.0, up),
+        )
+        for elevation in (44.5, 45.5)
+    )  # fmt: skip
+    assert np.abs(steep.astype(float) - steeper).mean() < 2
+
+
+@pytest.mark.parametrize("shape", ["particles", "surface"])
+def test_a_shape_casts_a_soft_shadow_where_it_touches_the_ground(lattice_ball, shape):
+    """Darkest below the lower of two balls, never beyond the bound, gone at the picture's edge."""
+    foot, head = np.array([2.0, -2.5, 1.0]), np.array([0, 1.5, 0])
+    ball = np.concatenate([lattice_ball(2.0, 0.25) + head, lattice_ball(1.0, 0.25) + foot])
+    faces = None
+    if shape == "surface":
+        surface = reconstruct_surface(ball, 0.25)
+        ball, faces = surface.vertices, surface.faces
+    ground = Ground.below(ball, "y")
+    camera = Camera(look(elevation=30), np.zeros(3), 9.0)
+    drawn = {
+        on: picture(ball, spacing=0.25, faces=faces, view=camera, size=(180, 180), ground=on)
+        for on in (None, ground)
+    }
+    bare = ~ink(drawn[None])
+    inner = binary_erosion(~bare, iterations=2)  # at its edge both are seen
+    np.testing.assert_array_equal(drawn[None][inner], drawn[ground][inner])
+    seen = ground.seen(
+        ground.shadow(ball, 0.55 * 0.25, faces), camera.rotation, camera.centre, 0.1, (180, 180)
+    )
+    right, down = camera.rotation[:2] @ [foot[0], ground.level, foot[2]] * [10, -10] + 89.5
+    darkest = np.argwhere(seen > 0.9 * seen.max()).mean(axis=0)
+    assert darkest == pytest.approx((down, right), abs=2)
+    assert 0.5 * DARKEST < seen.max() <= DARKEST
+    assert not seen[:, [0, -1]].any() and not seen[[0, -1]].any()
+    grey = drawn[ground][bare][:, 0] / 255
+    assert grey == pytest.approx(1 - seen[bare], abs=0.005)
+
+
+def test_a_shadow_needs_an_eye_above_the_ground(lattice_ball):
+    """From below nothing is in the way of the shape."""
+    ball = lattice_ball(3.0, 0.5)
+    ground, below = Ground.below(ball, "y"), Camera(look(elevation=-20), np.zeros(3), 6.0)
+    with_ground, without = (
+        picture(ball, spacing=0.5, view=below, size=SMALL, ground=on) for on in (ground, None)
+    )
+    np.testing.assert_array_equal(with_ground, without)
+
+
+def test_a_shadow_is_the_same_whichever_axis_is_up(lattice_ball):
+    """y and z upwards give one picture, and on a transparent background the shadow is cover."""
+    y_up = lattice_ball(3.0, 0.5) * [1.0, 0.6, 1.4]
+    pictures = [
+        picture(
+            points, spacing=0.5, size=SMALL, background=None, material="clay",
+            view=Camera(look(up=up), np.zeros(3), 8.0), ground=Ground.below(points, up),
+        )
+        for points, up in ((y_up, "y"), (y_up[:, [2, 0, 1]], "z"))
+    ]  # fmt: skip
+    apart = np.abs(pictures[0].astype(int) - pictures[1])
+    assert apart.mean() < 0.2  # levels of 255; particles on edges fall to either side
+    cover = pictures[0][..., 3]
+    black = pictures[0][..., :3].max(axis=2) == 0
+    assert (black & (cover > 20)).sum() > 50
+    assert cover[black].max() <= 255 * DARKEST
+
+
+def test_pictures_in_a_look_stand_on_a_ground(small_result, tmp_path):
+    """`morph render --look` has the page's shadow, all of it in the picture; else there is none."""
+    for look_name, shadow in ((None, False), ("clay", True)):
+        path = video(small_result, tmp_path / f"{look_name}.png", material=look_name, surface=True)
+        image = np.asarray(Image.open(path).convert("RGB"), int)
+        grey = (np.ptp(image, axis=2) == 0) & (image[..., 0] < 235) & (image[..., 0] > 120)
+        below = grey[image.shape[0] * 3 // 4 :]
+        assert (below.sum() > 500) == shadow
+        assert not grey[-1].any()
 
 
 LOOKS_JS = Path(__file__).resolve().parents[2] / "server/web/src/viewer/looks.js"

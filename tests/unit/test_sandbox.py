@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import psutil
 import pytest
 
-from chamfer_morph.worker.sandbox import runner
+from chamfer_morph.worker.sandbox import landlock, runner
 from chamfer_morph.worker.sandbox.runner import Answer, Computation, CrashedError, Limits, Wording
 from morph_engine.child_process import python_command
 from morph_engine.errors import MeshError, ResourceError
+from tests.patience import PATIENCE
 
 TASK = """
 import sys
@@ -30,9 +31,10 @@ def run(code: str, report_progress: Callable[[float], None]):
 PARENT = """
 from chamfer_morph.worker.sandbox import runner
 class Told(runner.Computation):
+    progress = property(fset=lambda self, share: share and print(self.child.pid, flush=True))
     def begin(self, process):
-        print(process.pid, flush=True)
-runner.run("task", {"code": "while True: pass"}, runner.Limits(1 << 28, 60),
+        self.child = process
+runner.run("task", {"code": "report_progress(0.5)\\nwhile True: pass"}, runner.Limits(1 << 28, 60),
            runner.Wording("It", "end", ""), Told())
 """
 WORDING = Wording("The work", "end", "Do less.")
@@ -41,8 +43,10 @@ WORDING = Wording("The work", "end", "Do less.")
 @pytest.fixture(autouse=True)
 def task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A module that runs what it is told within its limits."""
-    (tmp_path / "task.py").write_text(TASK)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    folder = tmp_path / "python"
+    folder.mkdir()
+    (folder / "task.py").write_text(TASK)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
 
 
 class Recorded(Computation):
@@ -60,24 +64,132 @@ def run(code: str, limits: Limits, computation: Computation | None = None) -> An
     return runner.run("task", {"code": code}, limits, WORDING, computation or Computation())
 
 
+def without_network() -> bool:
+    """Whether this system gives processes a network of their own."""
+    return not subprocess.run(python_command("chamfer_morph.worker.sandbox.network")).returncode
+
+
 def test_a_child_has_no_network(tmp_path: Path) -> None:
     """It reaches nobody, not even on this machine, and reads and writes files as ever."""
-    if subprocess.run(python_command("chamfer_morph.worker.sandbox.network")).returncode:
+    if not without_network():
         pytest.skip("This system gives processes no network of their own.")
     code = f"""
 import socket
 try:
     socket.create_connection(("127.0.0.1", {{port}}), 5)
 except OSError as error:
-    answer = type(error).__name__
+    answer = isinstance(error, OSError)
 open({str(tmp_path / "written")!r}, "w").write("this")
 """
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_connection(("127.0.0.1", port), 5):
-            answer = run(code.format(port=port), Limits(1 << 28, 10, 1 << 10))
-    assert answer == Answer("OSError")
+            limits = Limits(1 << 28, 10, 1 << 10, writes=(tmp_path,))
+            answer = run(code.format(port=port), limits)
+    assert answer == Answer(True)
     assert (tmp_path / "written").read_text() == "this"
+
+
+PROBE = """
+import os, socket, sys
+from pathlib import Path
+from chamfer_morph.worker.sandbox.offline import leave
+leave(Path(sys.argv[1]))
+try:
+    socket.create_connection(("127.0.0.1", int(sys.argv[2])), 5)
+    print("reached", end=" ")
+except OSError:
+    print("refused", end=" ")
+print("here" if os.readlink("/proc/self/ns/net") == sys.argv[3] else "elsewhere")
+"""
+
+
+@pytest.mark.parametrize(
+    ("devices", "found"),
+    [
+        ([], "refused elsewhere"),
+        (["nvidia0", "nvidia-uvm"], "refused here"),
+        (["nvidia0"], "reached here"),
+    ],
+)
+def test_an_engine_leaves_what_its_gpu_does_not_need(
+    devices: list[str], found: str, tmp_path: Path
+) -> None:
+    """The network where there is none, TCP where it is ready, and nothing where it is not."""
+    if not without_network() or landlock.version() < 4:
+        pytest.skip("This system does not let a process leave the network, or TCP.")
+    (tmp_path / "dev").mkdir()
+    for device in devices:
+        (tmp_path / "dev" / device).touch()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port, network = server.getsockname()[1], os.readlink("/proc/self/ns/net")
+        command = [sys.executable, "-c", PROBE, str(tmp_path), str(port), network]
+        outcome = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    assert outcome.stdout.strip() == found
+
+
+def test_a_module_is_run_offline(tmp_path: Path) -> None:
+    """As a program, with its arguments, and with the exit status that it chooses."""
+    (tmp_path / "python/program.py").write_text(
+        "import sys\nif __name__ == '__main__':\n    print(sys.argv[1:])\n    sys.exit(3)\n"
+    )
+    command = python_command("chamfer_morph.worker.sandbox.offline", "program", "a", "-b")
+    outcome = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    assert (outcome.stdout.strip(), outcome.returncode) == ("['a', '-b']", 3)
+
+
+@pytest.mark.skipif(not landlock.version(), reason="This system has no Landlock.")
+def test_a_child_has_the_files_of_its_task_alone(tmp_path: Path) -> None:
+    """Neither the database nor other meshes, nor what its parent knows; it changes what it may."""
+    (tmp_path / "job").mkdir()
+    for name in ("morph.sqlite", "other.stl", "mesh.stl", "job/result"):
+        (tmp_path / name).write_text("this")
+    outside = [tmp_path / "morph.sqlite", tmp_path / "other.stl", f"/proc/{os.getpid()}/environ"]
+    code = f"""
+import os
+global does
+def does(action, *arguments):
+    try:
+        action(*arguments)
+    except PermissionError:
+        return False
+    return True
+answer = (
+    [does(lambda path=path: open(path).read()) for path in {[*map(str, outside)]}],
+    [does(os.listdir, {str(tmp_path)!r}), does(os.kill, {os.getpid()}, 0)],
+    [does(lambda: open({str(tmp_path / "mesh.stl")!r}).read()),
+     does(lambda: open({str(tmp_path / "mesh.stl")!r}, "a")),
+     does(lambda: open({str(tmp_path / "other.stl")!r}, "a")),
+     does(os.unlink, {str(tmp_path / "other.stl")!r})],
+    [does(lambda: open({str(tmp_path / "job/new")!r}, "w").write("that")),
+     does(os.replace, {str(tmp_path / "job/new")!r}, {str(tmp_path / "job/result")!r})],
+)
+"""
+    mesh, job = tmp_path / "mesh.stl", tmp_path / "job"
+    answer = run(code, Limits(1 << 28, 10, 1 << 10, reads=(mesh,), writes=(job,))).value
+    signals = landlock.version() < 6
+    assert answer == [3 * [False], [False, signals], [True, False, False, False], [True, True]]
+    assert (job / "result").read_text() == "that" and (tmp_path / "other.stl").exists()
+
+
+@pytest.mark.skipif(not landlock.version(), reason="This system has no Landlock.")
+def test_a_child_reads_which_fonts_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the list that Matplotlib keeps; it cannot change it, for others read it, too."""
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "matplotlib").mkdir()
+    fonts = tmp_path / "matplotlib/fontlist.json"
+    fonts.write_text("this")
+    code = f"""
+answer = open({str(fonts)!r}).read()
+try:
+    open({str(fonts)!r}, "a")
+except PermissionError:
+    answer += ", unchanged"
+"""
+    assert run(code, Limits(1 << 28, 10)).value == "this, unchanged"
 
 
 def test_what_a_task_returns_is_its_answer() -> None:
@@ -108,6 +220,7 @@ def test_what_a_task_raises_is_raised() -> None:
         ("f = open('large', 'wb'); f.write(b'0' * 2000); f.close()", CrashedError, "status 1"),
         ("import os; os.abort()", CrashedError, "SIGABRT"),
         ("import os; os.write(2, b'std::bad_alloc'); os.abort()", ResourceError, "256 MiB"),
+        ("raise OSError(11, 'Resource temporarily unavailable')", ResourceError, "256 MiB"),
         ("import os; os.kill(os.getpid(), 9)", ResourceError, "killed from outside"),
         ("import os; os._exit(0)", CrashedError, "status 0"),
     ],
@@ -117,8 +230,9 @@ def test_a_child_that_does_too_much_is_ended(
 ) -> None:
     """Each limit by its name, and nothing printed is taken for an answer."""
     monkeypatch.chdir(tmp_path)
+    seconds = 1 if code.startswith("while") else 60  # a busy machine takes long to start it
     with pytest.raises(error, match=words):
-        run(f"print(1)\n{code}", Limits(1 << 28, 1, file_bytes=1000))
+        run(f"print(1)\n{code}", Limits(1 << 28, seconds, file_bytes=1000, writes=(tmp_path,)))
 
 
 def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture) -> None:
@@ -130,12 +244,19 @@ def test_a_child_that_talks_much_is_not_held_up(caplog: pytest.LogCaptureFixture
 
 
 def test_a_child_knows_no_passwords(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the database's nor the object store's are in its environment."""
-    monkeypatch.setenv("MORPH_DATABASE_URL", "postgresql://morph:secret@host/morph")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
-    monkeypatch.setenv("PGPASSWORD", "secret")
-    code = "import os; answer = Answer([n for n, v in os.environ.items() if 'secret' in v])"
-    assert run(code, Limits(1 << 30, 60)).value == []
+    """Of the environment it has what libraries need, and no variable that is not known."""
+    secrets = (
+        "MORPH_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD", "HTTPS_PROXY", "GITHUB_TOKEN",
+        "GOOGLE_APPLICATION_CREDENTIALS",
+    )  # fmt: skip
+    for name in secrets:
+        monkeypatch.setenv(name, "https://morph:secret@host")
+    needed = {"LC_NUMERIC": "C", "XDG_CACHE_HOME": "/cache", "CUDA_VISIBLE_DEVICES": "1"}
+    for name, value in needed.items():
+        monkeypatch.setenv(name, value)
+    answer = run("import os; answer = dict(os.environ)", Limits(1 << 30, 60)).value
+    assert [name for name, value in answer.items() if "secret" in value] == []
+    assert answer.items() >= (needed | {"PATH": os.environ["PATH"]}).items()
 
 
 def test_a_child_ends_with_its_parent() -> None:
@@ -143,6 +264,5 @@ def test_a_child_ends_with_its_parent() -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         child = psutil.Process(int(parent.stdout.readline()))
-        time.sleep(0.1)
         parent.kill()
-    child.wait(20)
+    child.wait(PATIENCE)

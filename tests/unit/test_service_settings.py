@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from chamfer_morph.worker.storage import Storage
+from tests.patience import PATIENCE
 
 
 @pytest.mark.parametrize("command", [["server", "check"], ["worker", "run"], ["worker", "janitor"]])
@@ -32,10 +33,24 @@ def test_a_wrong_setting_is_named(
     ended = subprocess.run(
         [sys.executable, "-m", f"chamfer_morph.{module}", *arguments],
         env=own | {"MORPH_DATA_DIR": str(tmp_path / "data"), name: value},
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
     )  # fmt: skip
     assert ended.returncode and words in ended.stderr, ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 2 and "secret" not in ended.stderr
+
+
+def test_a_wrong_name_in_a_file_is_named(tmp_path: Path) -> None:
+    """Those in .env count as those of the environment do; what is not ours there is left alone."""
+    own = {name: text for name, text in os.environ.items() if not name.startswith("MORPH_")}
+    command = [sys.executable, "-m", "chamfer_morph.server", "check"]
+    (tmp_path / ".env").write_text("OTHER=1\nMORPH_KEY=ours\nMORPH_WORKRES=2\n")
+    environment = own | {"MORPH_DATA_DIR": str(tmp_path / "data")}
+    ended = subprocess.run(
+        command, cwd=tmp_path, env=environment,
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert ended.returncode and "no variable MORPH_WORKRES" in ended.stderr, ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 2 and "MORPH_WORKERS" in ended.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes as of POSIX")

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from fontTools.fontBuilder import FontBuilder
+from fontTools.pens.ttGlyphPen import TTGlyphPen
+from matplotlib.font_manager import FontEntry, fontManager, ttfFontProperty
+from matplotlib.ft2font import FT2Font
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.sampling import FIT_HALF_EXTENT, REFERENCE_VOLUME
@@ -65,7 +71,10 @@ def test_teapot_has_a_handle_and_a_spout():
     assert np.count_nonzero(np.diff(filled.astype(int)) == 1) >= 2
 
 
-@pytest.mark.parametrize("text", ["A", "Hello", "Hello World", "I", "Ångström", "i%&8", "g"])
+LATIN = ["A", "Hello", "Hello World", "I", "Ångström", "i%&8", "g"]
+
+
+@pytest.mark.parametrize("text", [*LATIN, "Ωμέγα", "שלום", "شجرة"])
 def test_any_text_is_a_solid(text):
     """Letters are closed solids that pass the ingest check."""
     mesh = make(f"text:{text}")
@@ -88,7 +97,47 @@ def test_text_is_read_from_the_front():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("text", ["", "   ", "x" * 61, "漢字", "\u034f"])
+def test_a_letter_of_another_font(tmp_path, monkeypatch):
+    """What DejaVu lacks is written in an installed font that has it, a bold one before others."""
+    _font(tmp_path / "a.ttf", "Regular", [(0, 0), (0, 1000), (1000, 0)])
+    _font(tmp_path / "b.ttf", "Bold", [(0, 0), (0, 1000), (1000, 1000), (1000, 0)])
+    known = [ttfFontProperty(FT2Font(str(tmp_path / name))) for name in ("a.ttf", "b.ttf")]
+    monkeypatch.setattr(fontManager, "ttflist", known)
+    square = make("text:\ue8ff")
+    x, y, _ = 0.9 * square.bounds[1]
+    assert inside(square, [[x, y, 0], [-x, -y, 0]]).all(), "that of the bold one"
+    assert parts(make("text:A\ue8ff"))[:2] == (True, 2)
+
+
+def _font(path: Path, style: str, corners: list[tuple[int, int]]) -> None:
+    """Write a font of one letter, U+E8FF."""
+    pen = TTGlyphPen(None)
+    pen.moveTo(corners[0])
+    for corner in corners[1:]:
+        pen.lineTo(corner)
+    pen.closePath()
+    names = [".notdef", "shape"]
+    builder = FontBuilder(1000, isTTF=True)
+    builder.setupGlyphOrder(names)
+    builder.setupCharacterMap({0xE8FF: "shape"})
+    builder.setupGlyf(dict.fromkeys(names, pen.glyph()))
+    builder.setupHorizontalMetrics(dict.fromkeys(names, (1000, 0)))
+    builder.setupHorizontalHeader(ascent=1000, descent=0)
+    builder.setupNameTable({"familyName": "Test", "styleName": style})
+    builder.setupOS2(usWeightClass=700 if style == "Bold" else 400)
+    builder.setupPost()
+    builder.save(path)
+
+
+def test_a_typeface_that_is_gone_is_passed_over(tmp_path, monkeypatch):
+    """Matplotlib's list of fonts may be older than the last that was removed."""
+    gone = FontEntry(fname=str(tmp_path / "gone.ttf"), name="AAA", weight="bold")
+    monkeypatch.setattr(fontManager, "ttflist", [gone])
+    with pytest.raises(MeshError, match="No installed typeface"):
+        make("text:\ue8ff")
+
+
+@pytest.mark.parametrize("text", ["", "   ", "x" * 61, "\ue8ff", "\u2060"])
 def test_text_that_cannot_be_drawn(text):
     """Empty, overlong and unknown letters are errors with a remedy."""
     with pytest.raises(MeshError) as caught:

@@ -15,6 +15,7 @@ import pytest
 from chamfer_morph.server import single_flight
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.single_flight import Flight, SingleFlight
+from tests.patience import PATIENCE
 
 
 class Waiting:
@@ -64,12 +65,12 @@ def test_what_nobody_waits_for_is_not_computed() -> None:
 
     def hold(_: Flight[str]) -> str:
         begun.set()
-        end.wait(10)
+        end.wait(PATIENCE)
         return ""
 
     async def test(runner: SingleFlight[str]) -> None:
         first = asyncio.create_task(runner.get(("a",), hold, held, ""))
-        await asyncio.to_thread(begun.wait, 10)
+        await asyncio.to_thread(begun.wait, PATIENCE)
         waiting = [
             asyncio.create_task(
                 runner.get((name,), lambda _, name=name: computed.append(name) or name, request, "")
@@ -104,7 +105,7 @@ def test_cancelled_work_is_killed() -> None:
         runner.cancel("job")
         assert runner.find(("job", 1)) is None
         with pytest.raises(ProblemError) as caught:
-            await asyncio.wait_for(asked, 10)
+            await asyncio.wait_for(asked, PATIENCE)
         assert caught.value.status_code == 404 and await queued == "other"
         runner.close()
         with pytest.raises(ProblemError) as caught:

@@ -7,7 +7,7 @@ import pytest
 from typer.main import get_command
 
 from chamfer_morph.cli.app import app
-from worker.settings import Settings
+from chamfer_morph.worker.settings import Settings
 
 UNITS = sorted((Path(__file__).resolve().parents[2] / "docker" / "systemd").glob("*.service"))
 COMPILING = "MemoryDenyWriteExecute"

@@ -58,9 +58,9 @@ class Engine:
         self._device: str | None = None  # once it is ready
         self._spans: EngineSpans | None = None
         likely = json.dumps({"method": method, "extent": extent})
-        arguments = (str(threads), str(kept_results), likely)
+        engine = ("chamfer_morph.worker.engine_process", str(threads), str(kept_results), likely)
         self._process = subprocess.Popen(
-            python_command("chamfer_morph.worker.engine_process", *arguments),
+            python_command("chamfer_morph.worker.sandbox.offline", *engine),
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
             bufsize=0, start_new_session=True, env=environment_without_secrets(),
         )  # fmt: skip
@@ -80,11 +80,25 @@ class Engine:
         fits = spec.config.precision == "float32" and spec.device in ("auto", self._device)
         return self._device is not None and fits and not self.ended
 
-    def assign(self, job_dir: Path, attempt: int, spans: EngineSpans | None = None) -> None:
-        """Let it compute a job, and tell of its spans if somebody takes them."""
+    def assign(
+        self, job_dir: Path, attempt: int, memory_bytes: int, spans: EngineSpans | None = None
+    ) -> None:
+        """Let it compute a job.
+
+        Args:
+            job_dir: The job's directory.
+            attempt: Number of the attempt, from 1.
+            memory_bytes: Memory that it may take [bytes].
+            spans: Who is told of its spans, if anybody.
+        """
         self.last_message_at = time.monotonic()
         self._spans = spans
-        job = {"job_dir": str(job_dir), "attempt": attempt, "traced": spans is not None}
+        job = {
+            "job_dir": str(job_dir),
+            "attempt": attempt,
+            "memory_bytes": memory_bytes,
+            "traced": spans is not None,
+        }
         self._send(json.dumps(job).encode() + b"\n")
 
     def beat(self) -> None:
@@ -104,12 +118,14 @@ class Engine:
 
     def wait(self) -> int:
         """Wait for its end; returns its exit status, negative for a signal."""
+        assert self._process.stdin is not None
         self._reader.join()
+        self._process.stdin.close()
         return self._process.wait()
 
     def _send(self, message: bytes) -> None:
         assert self._process.stdin is not None
-        with contextlib.suppress(OSError):  # it ended just now
+        with contextlib.suppress(OSError, ValueError):  # it ended just now
             self._process.stdin.write(message)
 
     def _read_messages(self) -> None:

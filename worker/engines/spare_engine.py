@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
+from morph_engine.machine_cores import usable_cores
 
 NEARLY_DONE = 0.75
 """Share of a job's frames after which the process for the next job is started."""
@@ -82,5 +82,5 @@ class SpareEngine:
 
 
 def threads_per_job(settings: Settings) -> int:
-    """CPU threads of a job: as set, or an even share of the cores."""
-    return settings.threads or max(1, (os.cpu_count() or 1) // max(1, settings.workers))
+    """CPU threads of a job: as set, or an even share of the cores there are."""
+    return settings.threads or max(1, usable_cores() // max(1, settings.workers))

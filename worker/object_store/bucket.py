@@ -1,10 +1,11 @@
-"""Objects in a store that speaks S3, each read and written as a whole."""
+"""Objects in a store that speaks S3."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from chamfer_morph.worker.storage import StoreUnavailableError
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 
 CONNECT_SECONDS, REQUEST_SECONDS = 3, 30
 RETRIES, RETRY_SECONDS = 2, 5
+
+PART_BYTES = 8 << 20
+"""What is sent or asked for by one request at most, so that a slow link carries it in time;
+S3 takes parts from 5 MiB on."""
 
 
 class ObjectChangedError(Exception):
@@ -77,6 +82,18 @@ class Bucket:
         with _asking():
             return bytes(self._store.get(key).bytes())
 
+    def parts(self, key: str, end: int, begin: int = 0) -> Iterator[bytes]:
+        """An object, part by part, from one place to another; its size is known [bytes].
+
+        Raises:
+            FileNotFoundError: There is none.
+            StoreUnavailableError: The store does not answer.
+        """
+        for first in range(begin, end, PART_BYTES):
+            with _asking():
+                part = self._store.get_range(key, start=first, end=min(first + PART_BYTES, end))
+            yield bytes(part)
+
     def get_unless(self, key: str, etag: str | None) -> tuple[bytes, str] | None:
         """An object and its ETag, or None where it still has the ETag that is given.
 
@@ -101,6 +118,15 @@ class Bucket:
         """
         with _asking():
             self._store.put(key, data, use_multipart=False)
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Write an object that may be large; it is there once all of it is.
+
+        Raises:
+            StoreUnavailableError: The store does not answer.
+        """
+        with _asking():
+            self._store.put(key, path, chunk_size=PART_BYTES, max_concurrency=1)
 
     def replace(self, key: str, data: bytes, etag: str | None) -> str:
         """Write an object that has still the ETag that is given, or, with None, that is not there.
@@ -129,8 +155,17 @@ class Bucket:
         Raises:
             StoreUnavailableError: The store does not answer.
         """
+        return [*self.sizes(prefix)]
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Sizes of the objects whose keys begin with a prefix, which ends at a slash [bytes].
+
+        Raises:
+            StoreUnavailableError: The store does not answer.
+        """
         with _asking():
-            return [meta["path"] for page in self._store.list(prefix) for meta in page]
+            found = (meta for page in self._store.list(prefix) for meta in page)
+            return {meta["path"]: meta["size"] for meta in found}
 
     def delete(self, keys: Iterable[str]) -> None:
         """Delete objects, whether they are there or not.

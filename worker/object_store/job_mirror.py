@@ -10,14 +10,16 @@ import os
 import secrets
 import shutil
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ValidationError
 
-from chamfer_morph.worker.object_store.bucket import Bucket, ObjectChangedError
+from chamfer_morph.worker.object_store.bucket import PART_BYTES, Bucket, ObjectChangedError
 from chamfer_morph.worker.object_store.manifest import Manifest, Piece
-from chamfer_morph.worker.storage import OwnershipLostError, StoreUnavailableError
+from chamfer_morph.worker.storage import OwnershipLostError, RemoteFile, StoreUnavailableError
 from morph_engine.files import wait_for
 
 STATE, LOCK = ".mirror.json", ".mirror.lock"
@@ -75,6 +77,8 @@ class JobMirror:
         self._prefix = f"jobs/{job_id}"
         self.folder: Path = folder
         self._writer = ""
+        self._sent: dict[str, _Copy] = {}  # what the manifest does not name yet
+        self._loose: set[str] = set()  # keys that it may not name
         self._busy = threading.RLock()
 
     def fetch(self, *, log_only: bool = False) -> None:
@@ -94,10 +98,29 @@ class JobMirror:
                     return
             raise _restless()
 
+    def remote_file(self, name: str) -> RemoteFile | None:
+        """A file in the store, to be read without fetching it; None where it is here, or nowhere.
+
+        Raises:
+            StoreUnavailableError: The store does not answer.
+        """
+        state = self._state()
+        try:
+            found = self._bucket.get_unless(self._manifest_key, state.etag)
+        except FileNotFoundError:
+            return None
+        manifest = Manifest.model_validate_json(found[0]) if found else state.manifest
+        pieces, copy = manifest.files.get(name), state.copies.get(name)
+        here = copy and copy.pieces == pieces and copy.stamp == _stamp_or_none(self.folder / name)
+        if not pieces or here:
+            return None
+        return RemoteFile(sum(piece.size for piece in pieces), partial(self._read, pieces))
+
     def claim(self, wait_seconds: float) -> None:
         """Become the one who publishes the job; the folder has then all that was published.
 
-        What this machine was the last to publish stays as it is, with what has come since.
+        What this machine was the last to publish stays as it is, with what has come since. What
+        others have sent and not published goes.
 
         Args:
             wait_seconds: How long to wait for an engine that is just ending here [s].
@@ -120,8 +143,11 @@ class JobMirror:
                 self._writer = secrets.token_hex(8)
                 run = state.manifest.run or secrets.token_hex(8)
                 manifest = Manifest(writer=self._writer, run=run, files=state.manifest.files)
+                sent = {key.rpartition("/")[2] for key in self._bucket.keys(self._files)}
                 with suppress(ObjectChangedError):
                     self._replace(state.etag, manifest, state.copies)
+                    self._loose = sent  # nobody can name any more of it
+                    self._delete_loose(manifest)
                     return
             raise OwnershipLostError(self._prefix)
 
@@ -158,7 +184,7 @@ class JobMirror:
             StoreUnavailableError: The store does not answer.
         """
         with self._busy:
-            keys = self._bucket.keys(f"{self._prefix}/files/")
+            keys = self._bucket.keys(self._files)
             with suppress(FileNotFoundError):
                 self._bucket.delete([self._manifest_key])
             self._bucket.delete(keys)
@@ -173,8 +199,12 @@ class JobMirror:
     def _manifest_key(self) -> str:
         return f"{self._prefix}/manifest.json"
 
+    @property
+    def _files(self) -> str:
+        return f"{self._prefix}/files/"
+
     def _key(self, piece: Piece) -> str:
-        return f"{self._prefix}/files/{piece.key}"
+        return f"{self._files}{piece.key}"
 
     def _publish(self) -> None:
         """Publish what is new.
@@ -189,35 +219,42 @@ class JobMirror:
         for name in sorted(names, key=_reading_order):
             known, stamp = state.copies.get(name), _stamp(self.folder / name)
             if known is None or known.stamp != stamp:
-                pieces = self._upload(name, known.pieces if known else [], stamp[1])
-                known = _Copy(pieces=pieces, stamp=stamp)
+                known = self._send(name, stamp, known.pieces if known else [])
             copies[name] = known
         if names - self._names():
             raise FileNotFoundError  # the run directory became a result meanwhile
         files = {name: copy.pieces for name, copy in copies.items()}
-        if files == state.manifest.files:
-            return
         manifest = Manifest(writer=self._writer, run=state.manifest.run, files=files)
-        try:
-            self._replace(state.etag, manifest, copies)
-        except ObjectChangedError:
-            raise OwnershipLostError(self._prefix) from None
-        replaced = state.manifest.keys - manifest.keys
-        self._bucket.delete(f"{self._prefix}/files/{key}" for key in replaced)
+        if files != state.manifest.files:
+            try:
+                self._replace(state.etag, manifest, copies)
+            except ObjectChangedError:
+                raise OwnershipLostError(self._prefix) from None
+            self._loose |= state.manifest.keys
+        self._delete_loose(manifest)
 
-    def _upload(self, name: str, known: list[Piece], size: int) -> list[Piece]:
-        """Write a file, or what it has grown by, into objects; returns all its pieces."""
-        published = sum(piece.size for piece in known)
-        kept = known if name in GROWING and published <= size else []
-        begin = sum(piece.size for piece in kept)
-        if kept and begin == size:
-            return kept
+    def _send(self, name: str, stamp: tuple[int, int], published: list[Piece]) -> _Copy:
+        """Write a file, or what it has grown by, into objects; goes on where it has broken off."""
+        sent, size = self._sent.get(name), stamp[1]
+        if sent is None or sent.stamp != stamp:
+            grows = name in GROWING and sum(piece.size for piece in published) <= size
+            sent = self._sent[name] = _Copy(pieces=[*published] if grows else [], stamp=stamp)
+        begin = sum(piece.size for piece in sent.pieces)
         with (self.folder / name).open("rb") as file:
             file.seek(begin)
-            data = file.read(size - begin)
-        piece = Piece(key=secrets.token_hex(8), size=len(data))
-        self._bucket.put(self._key(piece), data)
-        return [*kept, piece]
+            while data := file.read(min(PART_BYTES, size - begin)):
+                piece = Piece(key=secrets.token_hex(8), size=len(data))
+                self._loose.add(piece.key)
+                self._bucket.put(self._key(piece), data)
+                sent.pieces.append(piece)
+                begin += len(data)
+        return sent
+
+    def _delete_loose(self, manifest: Manifest) -> None:
+        """Delete what was sent and is not in the manifest of this writer."""
+        self._bucket.delete(f"{self._files}{key}" for key in self._loose - manifest.keys)
+        self._loose.clear()
+        self._sent.clear()
 
     def _replace(self, etag: str | None, manifest: Manifest, copies: dict[str, _Copy]) -> None:
         """Replace the manifest that has this ETag.
@@ -277,19 +314,30 @@ class JobMirror:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         if known and known == pieces[: len(known)]:
-            new = b"".join(self._bucket.get(self._key(piece)) for piece in pieces[len(known) :])
+            new = b"".join(self._parts(pieces[len(known) :]))
             with path.open("ab") as file:
                 file.write(new)
         else:
             temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
             try:
                 with temporary.open("wb") as file:
-                    for piece in pieces:
-                        file.write(self._bucket.get(self._key(piece)))
+                    file.writelines(self._parts(pieces))
                 os.replace(temporary, path)
             finally:
                 temporary.unlink(missing_ok=True)
         copies[name] = _Copy(pieces=pieces, stamp=_stamp(path))
+
+    def _parts(self, pieces: list[Piece]) -> Iterator[bytes]:
+        """What pieces hold, part by part."""
+        return self._read(pieces, 0, sum(piece.size for piece in pieces))
+
+    def _read(self, pieces: list[Piece], begin: int, end: int) -> Iterator[bytes]:
+        """The same from one place in the file to another."""
+        for piece in pieces:
+            if begin < piece.size and end > 0:
+                first, last = max(begin, 0), min(end, piece.size)
+                yield from self._bucket.parts(self._key(piece), last, first)
+            begin, end = begin - piece.size, end - piece.size
 
     def _names(self) -> set[str]:
         """Files that are to be published, by their paths in the folder."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from chamfer_morph.worker.object_store.bucket import Bucket
 from chamfer_morph.worker.object_store.job_mirror import JobMirror
-from chamfer_morph.worker.storage import Storage, folder_bytes
+from chamfer_morph.worker.storage import RemoteFile, Storage, folder_bytes
 from morph_engine.files import replacing
 
 FRESH_SECONDS = 0.3
@@ -65,7 +65,7 @@ class SharedStorage(Storage):
 
     def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:
         """As of `Storage`, in the object store first."""
-        self._bucket.put(f"meshes/{sha256}/mesh.{suffix}", temporary.read_bytes())
+        self._bucket.put_file(f"meshes/{sha256}/mesh.{suffix}", temporary)
         super().add_mesh(temporary, sha256, suffix, report)
         document = (self._mesh_folder(sha256) / "report.json").read_bytes()
         self._bucket.put(f"meshes/{sha256}/report.json", document)
@@ -95,6 +95,10 @@ class SharedStorage(Storage):
                 self._fetched[job_id, part] = begun, settled
             while len(self._fetched) > 2 * MIRRORS_KEPT:
                 self._fetched.popitem(last=False)
+
+    def remote_result(self, job_id: str) -> RemoteFile | None:
+        """As of `Storage`."""
+        return self._mirror(job_id).remote_file(self.result_path(job_id).name)
 
     def claim(self, job_id: str, wait_seconds: float) -> None:
         """As of `Storage`."""
@@ -176,14 +180,14 @@ class SharedStorage(Storage):
     def _fetch_mesh(self, sha256: str) -> dict[str, Any] | None:
         """Fetch a mesh; its report last, with which it is there."""
         prefix = f"meshes/{sha256}/"
-        names = {key.removeprefix(prefix) for key in self._bucket.keys(prefix)}
-        if "report.json" not in names:
+        sizes = self._bucket.sizes(prefix)
+        if f"{prefix}report.json" not in sizes:
             return None
         folder = self._mesh_folder(sha256)
         folder.mkdir(exist_ok=True)
-        for name in sorted(names):  # mesh.*, report.json
-            with replacing(folder / name) as path:
-                path.write_bytes(self._bucket.get(f"{prefix}{name}"))
+        for key in sorted(sizes):  # mesh.*, report.json
+            with replacing(folder / key.removeprefix(prefix)) as path, path.open("wb") as file:
+                file.writelines(self._bucket.parts(key, sizes[key]))
         return super().mesh_report(sha256)
 
     def _marks(self, job_id: str) -> str:

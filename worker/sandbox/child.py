@@ -9,6 +9,7 @@ import math
 import os
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -16,6 +17,7 @@ from pydantic import validate_call
 from pydantic_core import to_json
 
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.sandbox import landlock
 from chamfer_morph.worker.sandbox.network import leave_network
 from chamfer_morph.worker.sandbox.runner import Answer, Limits
 from morph_engine.child_process import exit_with_parent
@@ -28,10 +30,13 @@ ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph", "morph_engine.
 def main(module: str) -> None:
     """Run a task within limits; memory and time of the program before it begins are free.
 
-    It has no network, where the system allows to take it.
+    It has no network, and of the files those alone that the program and the task need, where the
+    system allows to take the rest.
     """
     leave_network()
     request = json.loads(sys.stdin.buffer.readline())
+    limits = Limits(**request["limits"])
+    landlock.confine(map(Path, limits.reads), map(Path, limits.writes))
     exit_with_parent(ExitCode.ORPHANED)
     channel = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no part of the answer
@@ -46,7 +51,7 @@ def main(module: str) -> None:
     arguments = request["arguments"]
     if "report_progress" in inspect.signature(function).parameters:
         arguments["report_progress"] = lambda share: send({"progress": share})
-    enforce(Limits(**request["limits"]))
+    enforce(limits)
     try:
         answer = validate_call(function)(**arguments)
         if not isinstance(answer, Answer):

@@ -157,12 +157,9 @@ class Sandbox:
             MorphError: The particles enclose nothing, or it takes too much memory or time.
         """
         self._storage.make_derived_dirs(job_id)
-        arguments = {
-            "result": self._storage.result_path(job_id),
-            "index": index,
-            "path": self._storage.surface_path(job_id, index),
-        }
-        limits = self._limits(threads=MAX_THREADS)
+        result, path = self._storage.result_path(job_id), self._storage.surface_path(job_id, index)
+        arguments = {"result": result, "index": index, "path": path}
+        limits = self._limits(threads=MAX_THREADS, reads=result.parent, writes=path.parent)
         runner.run(f"{TASKS}.reconstruct_surface", arguments, limits, SURFACE, computation)
 
     def look_up_colors(self, job_id: str, computation: Computation) -> Colors | None:
@@ -171,9 +168,10 @@ class Sandbox:
         Raises:
             MorphError: A frame is damaged, or it takes too much memory or time.
         """
-        arguments = {"result": self._storage.result_path(job_id)}
+        result = self._storage.result_path(job_id)
+        limits = self._limits(reads=result.parent)
         task = f"{TASKS}.look_up_colors"
-        answer = runner.run(task, arguments, self._limits(), COLORS, computation)
+        answer = runner.run(task, {"result": result}, limits, COLORS, computation)
         reached = answer.value
         if not reached:
             return None
@@ -186,9 +184,10 @@ class Sandbox:
         Raises:
             MorphError: It cannot be written, or takes too much memory or time.
         """
-        arguments = {"job_dir": self._storage.job_dir(job_id)}
+        folder = self._storage.job_dir(job_id)
         task = f"{TASKS}.write_partial_result"
-        runner.run(task, arguments, self._limits(), RESULT, computation)
+        limits = self._limits(writes=folder)
+        runner.run(task, {"job_dir": folder}, limits, RESULT, computation)
 
     def make_export(
         self, job_id: str, options: ExportOptions, file_bytes: int, computation: Computation
@@ -201,7 +200,7 @@ class Sandbox:
         self._storage.make_derived_dirs(job_id)
         result, folder = self._storage.result_path(job_id), self._storage.exports_dir(job_id)
         arguments = {"result": result, "folder": folder, "options": options}
-        limits = self._limits(file_bytes, MAX_THREADS)
+        limits = self._limits(file_bytes, MAX_THREADS, reads=result.parent, writes=folder)
         try:
             runner.run(f"{TASKS}.make_export", arguments, limits, EXPORT, computation)
         except MorphError as error:  # shown to users, who need not know where files lie
@@ -209,14 +208,28 @@ class Sandbox:
                 error.cause = error.cause.replace(f"{path}/", "").replace(path, "the result")
             raise
 
-    def _limits(self, file_bytes: int | None = None, threads: int = 1) -> Limits:
-        memory, seconds = self.writing_bytes, self._settings.export_cpu_seconds
-        return Limits(memory, seconds, memory if file_bytes is None else file_bytes, threads)
+    def _limits(
+        self,
+        file_bytes: int | None = None,
+        threads: int = 1,
+        *,
+        reads: Path | None = None,
+        writes: Path | None = None,
+    ) -> Limits:
+        return Limits(
+            self.writing_bytes,
+            self._settings.export_cpu_seconds,
+            self.writing_bytes if file_bytes is None else file_bytes,
+            threads,
+            reads=(reads,) if reads else (),
+            writes=(writes,) if writes else (),
+        )
 
     def _read_mesh(self, task: str, arguments: dict[str, Any], computation: Computation) -> Answer:
         """What a task answers that reads a mesh; errors call its file what the user calls it."""
-        limits = Limits(self.reading_bytes, self._settings.inspect_cpu_seconds)
         name, path = arguments["name"], arguments["path"]
+        reads = () if path is None else (path,)
+        limits = Limits(self.reading_bytes, self._settings.inspect_cpu_seconds, reads=reads)
         wording = Wording(name, "read", DECIMATE)
         try:
             return runner.run(f"{TASKS}.{task}", arguments, limits, wording, computation)

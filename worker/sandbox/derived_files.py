@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from chamfer_morph import schemas
 from chamfer_morph.schemas import Easing, Repeat, Sha256, Units
 from morph_engine.files import replacing
 from morph_engine.results.timeline import Timing
@@ -18,6 +19,7 @@ from morph_engine.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from morph_engine.export import Content
+    from morph_engine.rendering.picture_options import PictureOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +97,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
     hold: float | None = None
     easing: Easing | None = None
     repeat: Repeat | None = None
+    picture: schemas.PictureOptions | None = None
     units: Units
     fields: list[str]
 
@@ -127,8 +130,30 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
             "tracked": self.tracked,
             "texture": self.texture,
             "timing": self.timing,
+            "picture": _for_engine(self.picture) if self.picture else None,
             "fields": self.fields,
         }
+
+
+def _for_engine(asked: schemas.PictureOptions) -> PictureOptions:
+    """What is asked for, as the engine takes it.
+
+    Raises:
+        ConfigError: Two camera keys are at the same time.
+    """
+    from morph_engine.rendering.camera_path import CameraKey, CameraPath, View
+    from morph_engine.rendering.picture_options import PictureOptions
+
+    keys = (
+        CameraKey(key.share, View(key.azimuth, key.elevation, key.zoom))
+        for key in asked.camera_keys
+    )
+    return PictureOptions(
+        size=(asked.width, asked.height),
+        camera=CameraPath(asked.camera, tuple(keys)),
+        background=asked.background,
+        material=asked.look,
+    )
 
 
 class StoredExport(BaseModel):

@@ -12,10 +12,12 @@ import json
 import logging
 import signal
 import subprocess
+import tempfile
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import IO, Any
 
 from pydantic_core import to_json
@@ -26,10 +28,13 @@ from morph_engine.child_process import (
     environment_without_secrets,
     python_command,
 )
-from morph_engine.errors import MorphError, ResourceError, ResultError
+from morph_engine.errors import ERRORS, MorphError, ResourceError, ResultError
 
 MAX_THREADS = 4
 """Threads of a child's libraries; each of them reserves memory that the limit counts."""
+
+OUT_OF_MEMORY = (b"bad_alloc", b"Resource temporarily unavailable")
+"""What libraries say when they get no memory, or none for a thread."""
 
 STDERR_TAIL_BYTES = 1 << 14
 """What is kept of a child's messages [bytes]."""
@@ -58,12 +63,16 @@ class Limits:
         cpu_seconds: CPU time beyond that of the imports, summed over threads [s].
         file_bytes: Size of any file that it writes [bytes].
         threads: Threads of the libraries that it calls.
+        reads: Files and folders that it reads, beside those of the program.
+        writes: Files and folders that it may read and change.
     """
 
     memory_bytes: int
     cpu_seconds: int
     file_bytes: int = 0
     threads: int = 1
+    reads: tuple[Path, ...] = ()
+    writes: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,7 +136,7 @@ def run(
     wording: Wording,
     computation: Computation,
 ) -> Answer:
-    """Run a task to its end; blocks.
+    """Run a task to its end; blocks. It has a folder for temporary files, which goes with it.
 
     Args:
         task: Its module, whose function `run` is called.
@@ -144,12 +153,14 @@ def run(
         CrashedError: It has ended otherwise without an answer.
         MorphError: As the function raises it.
     """
+    scratch = tempfile.TemporaryDirectory(prefix="morph-", ignore_cleanup_errors=True)
+    limits = replace(limits, writes=(*limits.writes, Path(scratch.name)))
     process = subprocess.Popen(
         python_command("chamfer_morph.worker.sandbox.child", task),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=environment_without_secrets() | _environment(limits),
+        env=environment_without_secrets() | _environment(limits) | {"TMPDIR": scratch.name},
         start_new_session=True,
     )
     assert process.stdin is not None and process.stderr is not None
@@ -171,9 +182,11 @@ def run(
             reader.join()
     finally:
         alarm.cancel()
+        scratch.cleanup()
     if late.is_set() or -status == signal.SIGXCPU:
         raise _too_much(wording, f"{limits.cpu_seconds} s")
-    if status == ExitCode.OUT_OF_MEMORY or (status and b"bad_alloc" in stderr_tail):
+    no_memory = any(words in stderr_tail for words in OUT_OF_MEMORY)
+    if status == ExitCode.OUT_OF_MEMORY or (status and no_memory):
         raise _too_much(wording, f"{limits.memory_bytes >> 20} MiB of memory")
     if -status == signal.SIGKILL:
         raise ResourceError(
@@ -208,8 +221,7 @@ def _read_answer(
                 case {"answer": value, "binary_bytes": size}:
                     answer = Answer(value, process.stdout.read(size))
                 case {"error": {"type": name, "cause": cause, "remedy": remedy}}:
-                    kinds = {kind.__name__: kind for kind in MorphError.__subclasses__()}
-                    answer = kinds.get(name, MorphError)(cause, remedy)
+                    answer = ERRORS.get(name, MorphError)(cause, remedy)
     return answer
 
 

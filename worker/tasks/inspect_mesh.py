@@ -25,6 +25,6 @@ def run(path: Path, name: str) -> dict[str, Any]:
         MeshError: It is no mesh, or cannot be filled with particles.
     """
     mesh = replace(load_mesh(path), name=name)
-    check_mesh(fitted(mesh, "auto")[0])
+    check_mesh(fitted(mesh, "auto")[0], own=mesh)
     report: dict[str, Any] = ingest_report(mesh).model_dump(mode="json")
     return report

@@ -63,9 +63,9 @@ def run(
     source, target = (other, own) if other_role == "source" else (own, other)
     placement = place(source, target, fit=fit, poses=PlacementConfig.model_validate(poses))
     to_grid = placement.target if other_role == "source" else placement.source
-    mesh = placed(mesh, to_grid)
-    check_mesh(mesh)
-    positions = sample_lattice(mesh, spacing=1 / points_per_cell_edge)
+    in_domain = placed(mesh, to_grid)
+    check_mesh(in_domain, own=mesh)
+    positions = sample_lattice(in_domain, spacing=1 / points_per_cell_edge)
     told = {
         "message": placement.message,
         "turning": placement.turning,

@@ -9,7 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
 from tests.integration.api.contract import check_documented
+from tests.patience import PATIENCE, until
 
 CUBE = """v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nv 0 0 10\nv 10 0 10\nv 10 10 10\nv 0 10 10
 f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7
@@ -102,12 +103,12 @@ def serving(settings: Settings) -> Iterator[Api]:
             time.sleep(0.01)
         hooks = {"response": [check_documented]}
         with httpx.Client(
-            base_url=address(settings, listener), timeout=60, event_hooks=hooks
+            base_url=address(settings, listener), timeout=PATIENCE, event_hooks=hooks
         ) as http:
             yield Api(http, server.context, settings)
     finally:
         server.should_exit = True
-        thread.join(20)
+        thread.join(PATIENCE)
         listener.close()
 
 
@@ -178,11 +179,28 @@ def api_process(settings: Settings, environment: dict[str, str]) -> Iterator[Api
         with subprocess.Popen(command, env=environment, pass_fds=[descriptor]) as process:
             limits = httpx.Limits(max_connections=None)
             with httpx.Client(
-                base_url=address(settings, listener), timeout=600, limits=limits
+                base_url=address(settings, listener), timeout=PATIENCE, limits=limits
             ) as http:
                 assert http.get("/readyz").status_code == 200
                 yield ApiProcess(http, psutil.Process(process.pid))
             process.terminate()
+
+
+def halted_child(task: str) -> psutil.Process:
+    """The child of this process that computes a task, once there is one; it is halted."""
+    halted = []
+
+    def halt() -> bool:
+        for child in psutil.Process().children():
+            with suppress(psutil.Error):  # it has ended
+                if f"chamfer_morph.worker.tasks.{task}" in child.cmdline():
+                    child.suspend()
+                    halted.append(child)
+                    return True
+        return False
+
+    until(halt, f"nothing computes {task}")
+    return halted[0]
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import pytest
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api import contract
 from tests.integration.api.conftest import MORPH, Api
+from tests.patience import PATIENCE
 
 OPERATIONS = [
     (operation["operationId"], method.upper(), path)
@@ -50,7 +51,7 @@ class House:
     def ask(self, method: str, path: str, who: str, **ids: str) -> httpx.Response:
         """Ask for the things of `ann`, or for others."""
         address = re.sub(r"{(\w+)}", lambda name: (self.ids | ids)[name[1]], path)
-        return self.http.request(method, address, headers=self.keys[who], timeout=60)
+        return self.http.request(method, address, headers=self.keys[who], timeout=PATIENCE)
 
 
 @pytest.fixture(scope="module")

@@ -5,16 +5,26 @@ from __future__ import annotations
 import base64
 import json
 import pickle
+import shutil
+import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
+from chamfer_morph.schemas import Outcome
+from chamfer_morph.worker import storage
+from chamfer_morph.worker.dbos_adapter import SERIALIZER
 from chamfer_morph.worker.queue import JobChangedError, JobQueue
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import spool_path
 from tests.integration.api.conftest import COARSE, Api
 
 
@@ -124,6 +134,37 @@ def test_a_damaged_report_hides_no_mesh(api: Api, cube: bytes, text: str) -> Non
     assert again.json()["id"] == meshes[0] and again.is_success
 
 
+@pytest.mark.parametrize("of", ["frames", "the result"])
+def test_damaged_files_are_a_fault_of_the_service(
+    api: Api, run: RunRecord, of: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """500 for what cannot be read, the log says what that is, and no answer says where it lies."""
+    job = api.running(run) if of == "frames" else api.finished(run)
+    result = api.context.storage.result_path(job)
+    spool = spool_path(result)
+    if of == "the result":
+        shutil.rmtree(spool)
+    for path in [result] if of == "the result" else spool.glob("frame-*"):
+        path.write_bytes(path.read_bytes()[:300])
+    for address in ("frames/0", "frames/0/surface", "particles", "frames/1/fields/det_f", "colors"):
+        answer = api.http.get(f"/v1/jobs/{job}/{address}")
+        assert f"{api.settings.data_dir}" not in answer.text, address
+        assert answer.status_code != 422, address
+    answer = api.http.get(f"/v1/jobs/{job}/frames/0")
+    assert answer.status_code == 500 and "damaged" in answer.json()["detail"]
+    assert f"{result}" in caplog.text
+
+
+def test_no_problem_says_where_files_lie(api: Api, run: RunRecord) -> None:
+    """A disk that refuses is told, without the folder."""
+    job = api.running(run)
+    assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
+    api.context.storage.result_path(job).mkdir()  # in the way of the result
+    answer = api.http.get(f"/v1/jobs/{job}/result")
+    assert answer.status_code == 503 and "Cannot write" in answer.json()["detail"]
+    assert f"{api.settings.data_dir}" not in answer.text
+
+
 def test_a_key_without_a_known_scope_is_no_key(api: Api) -> None:
     """It locks nobody else out."""
     secret = api.http.post("/v1/keys", json={"name": "a", "scopes": ["admin"]}).json()["secret"]
@@ -164,6 +205,57 @@ def test_a_retry_that_breaks_off_leaves_the_result(
     assert [path.name for path in result.parent.iterdir()] == ["lock"]
 
 
+@contextmanager
+def interrupted(instant: int) -> Iterator[None]:
+    """SystemExit at the begin or end of the so-manieth call in the package of queue and storage."""
+    folder = str(Path(storage.__file__).parent)
+    left = instant
+
+    def note(frame: FrameType, event: str, _: Any) -> None:
+        nonlocal left
+        if event in ("call", "return") and frame.f_code.co_filename.startswith(folder):
+            left -= 1
+            if left < 0:
+                raise SystemExit
+
+    sys.setprofile(note)
+    try:
+        yield
+    finally:
+        sys.setprofile(None)
+
+
+def test_a_retry_may_break_off_anywhere(api: Api, run: RunRecord, tmp_path: Path) -> None:
+    """Afterwards the job has succeeded, with its result, or is queued; the next retry is whole."""
+    job, queue = api.finished(run), api.context.queue
+    folder = api.context.storage.job_dir(job)
+    shutil.copytree(folder, tmp_path / "kept")
+    outcome = Outcome(
+        sha256="0" * 64, size_bytes=1, frames=2, metrics={}, particle_count=1, target_count=1,
+        cpu_seconds=0, peak_memory_mb=0,
+    )  # fmt: skip
+    output = SERIALIZER.serialize(outcome.model_dump(mode="json"))
+    seen = []
+    for instant in count():
+        shutil.copytree(tmp_path / "kept", folder, dirs_exist_ok=True)
+        change(api, job, status="SUCCESS", output=output)
+        try:
+            with interrupted(instant):
+                queue.retry(job)
+        except (SystemExit, sa.exc.OperationalError):  # as which SQLite passes it on
+            state = queue.states([job])[job].value
+            seen.append(state)
+        else:
+            break
+        if state == "succeeded":
+            assert api.http.get(f"/v1/jobs/{job}/result").status_code == 200, instant
+            queue.retry(job)
+        assert queue.states([job])[job].value == "queued", instant
+        api.context.storage.discard_if_marked(job, wait_seconds=0)  # as its worker does
+        assert [path.name for path in folder.iterdir()] == ["lock"], instant
+    assert {*seen} == {"succeeded", "queued"} and len(seen) > 20, seen
+
+
 def test_a_refused_retry_discards_nothing(either: Api, run: RunRecord) -> None:
     """What a running job has computed stays when somebody retries it too late."""
     job = either.running(run)
@@ -189,3 +281,22 @@ def test_racing_requests_are_conflicts_at_worst(either: Api, run: RunRecord) -> 
             answers = [*pool.map(act, actions)]
         assert set(answers) <= {202, 204, 404, 409}, answers
         assert either.http.get("/v1/jobs").status_code == 200
+
+
+def test_a_job_goes_although_its_files_cannot_now(
+    either: Api, run: RunRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They follow later."""
+
+    def refuse(*_: object) -> None:
+        raise StoreUnavailableError("The object store does not answer.", "")
+
+    job = either.finished(run)
+    with monkeypatch.context() as patch:
+        patch.setattr(Storage, "remove_job", refuse)
+        assert either.http.delete(f"/v1/jobs/{job}").status_code == 204
+    assert either.http.get(f"/v1/jobs/{job}").status_code == 404
+    folder = either.context.storage.job_dir(job)
+    assert folder.exists()
+    assert either.context.deletions.finish(abandoned_seconds=0) == [job]
+    assert not folder.exists()

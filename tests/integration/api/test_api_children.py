@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 import httpx
-import numpy as np
-import psutil
 import pytest
 
+from benchmarks.hostile import bombs
+from benchmarks.service.children import ChildrenWatch
 from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api, ApiProcess
+from tests.patience import until
 
 BOMBS = 100
 READS = 200
@@ -27,44 +27,8 @@ PROCESSES = 4
 
 @pytest.fixture(scope="module")
 def bomb() -> bytes:
-    """A mesh file that takes seconds to look through, and is refused: triangles without order."""
-    chance = np.random.default_rng(1)
-    centres = chance.uniform(0, 10, (20_000, 1, 3))
-    points = (centres + chance.normal(0, 0.3, (20_000, 3, 3))).reshape(-1, 3)
-    lines = [f"v {x:.3f} {y:.3f} {z:.3f}" for x, y, z in points]
-    lines += [f"f {first} {first + 1} {first + 2}" for first in range(1, len(points), 3)]
-    return "\n".join([*lines, "#"]).encode()
-
-
-class Watch:
-    """Looks at the children of some API processes, as long as the context lasts.
-
-    Attributes:
-        most: The most there were at the same time, and the most memory of them [bytes].
-    """
-
-    def __init__(self, apis: list[ApiProcess]) -> None:
-        self._apis = apis
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self.most = (0, 0)
-
-    def __enter__(self) -> Watch:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._ended.wait(0.05):
-            count = memory = 0
-            for child in (child for api in self._apis for child in api.children()):
-                with suppress(psutil.Error):  # it has ended
-                    memory += child.memory_info().rss
-                    count += 1
-            self.most = max(self.most[0], count), max(self.most[1], memory)
+    """A mesh file that takes seconds to look through, and is refused."""
+    return bombs.bomb()
 
 
 def test_an_upload_overtakes_those_of_another_key(
@@ -85,16 +49,15 @@ def test_an_upload_overtakes_those_of_another_key(
             return answer.status_code
         return 0
 
-    with ThreadPoolExecutor(BOMBS) as pool, Watch(apis) as watch:
-        bombs = [
+    with ThreadPoolExecutor(BOMBS) as pool, ChildrenWatch([api.process for api in apis]) as watch:
+        sent = [
             pool.submit(upload, apis[index % 2].http, bomb + b"#" * index, ann)
             for index in range(BOMBS)
         ]
-        while not all(api.children() for api in apis):
-            time.sleep(0.01)
+        until(lambda: all(api.children() for api in apis))
         for api in apis:
             assert upload(api.http, cube + b"#%d" % api.process.pid, bob) == 201
-            assert sum(each.done() for each in bombs) < BOMBS / 2
+            assert sum(each.done() for each in sent) < BOMBS / 2
         for api in apis:
             api.process.terminate()
     assert 0 < watch.most[0] <= PROCESSES
@@ -120,7 +83,10 @@ def test_reads_stay_within_the_budget(
         while not ended.wait(0.05):
             cheap.append(apis[len(cheap) % 2].http.get("/v1/jobs").status_code)
 
-    with ThreadPoolExecutor(READS + 1) as pool, Watch(apis) as watch:
+    with (
+        ThreadPoolExecutor(READS + 1) as pool,
+        ChildrenWatch([api.process for api in apis]) as watch,
+    ):
         looking = pool.submit(look)
         answers = pool.map(
             lambda index: apis[index % 2].http.get(paths[index % len(paths)]).status_code,

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import pairwise
 
 import httpx
 import pytest
 
 from chamfer_morph.server.http import connection_limits
-from chamfer_morph.server.http.connection_limits import HEAD_BYTES
+from chamfer_morph.server.http.connection_limits import HEAD_BYTES, LimitedProtocol
 from tests.integration.api.conftest import Api
+from tests.patience import PATIENCE, until
 
 
 @contextmanager
 def connection(api: Api) -> Iterator[socket.socket]:
     """A connection to the API that speaks no HTTP by itself."""
     url = httpx.URL(str(api.http.base_url))
-    with socket.create_connection((url.host, url.port), timeout=30) as plain:
+    with socket.create_connection((url.host, url.port), timeout=PATIENCE) as plain:
         yield plain
 
 
@@ -43,8 +46,8 @@ def flood(plain: socket.socket, piece: bytes, most: int = 64 << 20) -> int:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a second for a head."""
-    monkeypatch.setattr(connection_limits, "HEAD_SECONDS", 0.5)
+    """One second for a head."""
+    monkeypatch.setattr(connection_limits, "HEAD_SECONDS", 1.0)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +113,8 @@ def test_a_slow_body_and_a_second_request_are_taken(api: Api) -> None:
     with connection(api) as plain:
         for last in (b"\r\n", b"Connection: close\r\n\r\n"):
             plain.sendall(head + last + body[:9])
-            with pytest.raises(TimeoutError):
-                plain.settimeout(0.8)
-                plain.recv(1)
-            plain.settimeout(30)
+            with connection(api) as later:
+                assert not answer(later), "its deadline is over, and so is any that began before"
             plain.sendall(body[9:])
             if last == b"\r\n":
                 assert plain.recv(1 << 16).startswith(b"HTTP/1.1 202")
@@ -133,3 +134,26 @@ def test_slow_connections_leave_room(
                 plain.sendall(b"GET /livez HTTP/1.1\r\nX: ")
         assert api.http.get("/livez").status_code == 200
         assert not answer(slow[0])
+
+
+@pytest.mark.usefixtures("impatient")
+def test_late_connections_end_one_at_a_time(api: Api) -> None:
+    """Whoever else wants something comes in between, however many are late at once."""
+    LimitedProtocol.waiting.clear()  # those of other tests
+    with ExitStack() as stack:
+        slow = [stack.enter_context(connection(api)) for _ in range(50)]
+        for plain in slow:
+            plain.sendall(b"GET /livez HTTP/1.1\r\nX: ")
+        until(lambda: len(LimitedProtocol.waiting) == len(slow), "They are not accepted.")
+        held = [*LimitedProtocol.waiting]
+        loop, ended = held[0].loop, [0]
+
+        def count() -> None:
+            ended.append(sum(each.transport.is_closing() for each in held))
+            if ended[-1] < len(held):
+                loop.call_soon(count)
+
+        loop.call_soon_threadsafe(time.sleep, 1.5)  # after that all of them are late
+        loop.call_soon_threadsafe(count)
+        assert all(answer(plain).startswith(b"HTTP/1.1 408") for plain in slow)
+    assert max(after - before for before, after in pairwise(ended)) == 1

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from typing import Any
 
 import pytest
 
 from chamfer_morph.schemas import ProblemDocument
 from chamfer_morph.server.app import create_app
-from chamfer_morph.server.auth import CACHE_SECONDS
 from chamfer_morph.server.http.openapi import text
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
 from tests.integration.api.contract import CONTRACT, OPERATIONS, ROOT
+from tests.patience import until
 
 SAMPLES = {
     "job_id": "0" * 26, "sweep_id": "0" * 26, "mesh_id": "0" * 64, "worker_id": "none-slot9",
@@ -97,11 +96,14 @@ def test_health_and_figures(api: Api) -> None:
     """Alive, ready, and what Prometheus reads."""
     assert "morph_queue_age_seconds 0.0" in api.http.get("/metrics").text
     api.submit()
-    time.sleep(0.01)
+    until(lambda: "morph_queue_age_seconds 0.0" not in api.http.get("/metrics").text)
+    for slot in ("a-slot0", "a-slot1", "a-slot0"):
+        api.context.adoptions.add(slot)
     assert api.http.get("/livez").json() == api.http.get("/readyz").json() == {"status": "ok"}
     figures = api.http.get("/metrics").text
     assert 'morph_jobs{state="queued"} 1.0' in figures
     assert 'morph_job_failures_total{kind="input"} 0.0' in figures
+    assert "morph_adoptions_total 3.0" in figures
     values = dict(line.rsplit(" ", 1) for line in figures.splitlines() if line[0] != "#")
     assert float(values["morph_queue_age_seconds"]) > 0
     assert float(values["morph_disk_free_bytes"]) > 0
@@ -112,7 +114,7 @@ def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:
     """Without its tables the API answers 503, and is not ready for anything but that."""
     with api.context.engine.begin() as connection:
         connection.exec_driver_sql("alter table morph_keys rename to gone")
-    time.sleep(CACHE_SECONDS)  # until the keys are read again
+    api.context.authenticator.invalidate()  # the keys are read again
     answer = api.http.get("/v1/jobs")
     assert answer.status_code == 503 and answer.json()["remedy"]
 

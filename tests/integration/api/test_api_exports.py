@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import io
-import time
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 import trimesh
 from PIL import Image
 
 from chamfer_morph.client import MorphClient
 from chamfer_morph.client.errors import ServiceError
+from chamfer_morph.schemas import PictureOptions
 from chamfer_morph.server.routes import exports
 from chamfer_morph.worker.sandbox import runner
 from morph_engine.export import FORMATS
+from morph_engine.rendering.materials import MATERIALS
 from morph_engine.results.run_record import RunRecord
-from tests.integration.api.conftest import Api
+from tests.integration.api.conftest import Api, halted_child
+from tests.patience import PATIENCE, until
 
 
 def loaded(content: bytes, format: str) -> trimesh.Trimesh:
@@ -34,12 +34,10 @@ def loaded(content: bytes, format: str) -> trimesh.Trimesh:
     return mesh
 
 
-def ready(api: Api, location: str, seconds: float = 120) -> dict[str, Any]:
+def ready(api: Api, location: str) -> dict[str, Any]:
     """An export once it has ended."""
-    deadline = time.monotonic() + seconds
-    while (export := api.http.get(location).json())["state"] == "running":
-        assert time.monotonic() < deadline, export
-        time.sleep(0.1)
+    until(lambda: api.http.get(location).json()["state"] != "running")
+    export: dict[str, Any] = api.http.get(location).json()
     return export
 
 
@@ -144,6 +142,17 @@ def test_exports_are_made_once_and_kept(
     assert film["file_name"] == "sphere-to-star-partial.zip", film
     with zipfile.ZipFile(io.BytesIO(api.http.get(film["links"]["file"]).content)) as archive:
         assert archive.namelist() == ["frame-0000.png", "frame-0001.png"]
+    picture = {
+        "width": 320, "height": 200, "look": "porcelain", "background": "transparent",
+        "camera_keys": [{"share": 0, "azimuth": 0}, {"share": 1, "azimuth": 90, "zoom": 2}],
+    }  # fmt: skip
+    drawn = api.http.post(path, json={"format": "png", "frames": [0, 1], "picture": picture})
+    drawn = ready(api, drawn.headers["Location"])
+    with zipfile.ZipFile(io.BytesIO(api.http.get(drawn["links"]["file"]).content)) as archive:
+        pictures = [Image.open(io.BytesIO(archive.read(name))) for name in archive.namelist()]
+    assert {(one.size, one.mode) for one in pictures} == {((320, 200), "RGBA")}
+    smaller, larger = (np.count_nonzero(np.asarray(pictures[at])[..., 3]) for at in (0, -1))
+    assert larger > 1.5 * smaller
     table = ready(api, api.http.post(path, json={"format": "csv"}).headers["Location"])
     rows = api.http.get(table["links"]["file"]).text.split()
     assert rows == ["frame,s2t", "0,1.0", "1,3.0"]
@@ -175,6 +184,11 @@ def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecor
         {"format": "ply", "seconds": 1},
         {"format": "gif", "seconds": 1, "frames": [0]},
         {"format": "gif", "easing": "bounce"},
+        {"format": "gif", "picture": {"width": 321}},
+        {"format": "gif", "picture": {"background": "blakc"}},
+        {"format": "gif", "picture": {"background": "transparent"}},
+        {"format": "gif", "picture": {"camera_keys": [{"share": 0}, {"share": 0}]}},
+        {"format": "ply", "picture": {"look": "clay"}},
         {"colour": 1},
     ):
         answer = api.http.post(path, json=fault)
@@ -212,25 +226,14 @@ def test_an_export_can_be_deleted(api: Api, run: RunRecord) -> None:
     )
 
 
-def surfacing() -> psutil.Process:
-    """The child that computes a surface, once there is one; it is halted."""
-    while True:
-        for child in psutil.Process().children():
-            with suppress(psutil.Error):
-                if "chamfer_morph.worker.tasks.reconstruct_surface" in child.cmdline():
-                    child.suspend()
-                    return child
-        time.sleep(0.01)
-
-
 def test_a_deleted_job_ends_what_is_computed_from_it(api: Api, run: RunRecord) -> None:
     """The child is killed, and who waits for it is told."""
     job = api.finished(run)
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(api.http.get, f"/v1/jobs/{job}/frames/0/surface")
-        child = surfacing()
+        child = halted_child("reconstruct_surface")
         assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
-        assert answer.result(10).status_code == 404, answer.result().text
+        assert answer.result(PATIENCE).status_code == 404, answer.result().text
     assert not child.is_running()
 
 
@@ -238,6 +241,12 @@ def test_the_contract_names_every_kind_of_file() -> None:
     """Of exports; the list is written down, because the formats are slow to import."""
     kinds = {format.media_type for format in FORMATS.values()}
     assert set(exports.MEDIA_TYPES) == kinds | {"application/zip"}
+
+
+def test_the_looks_of_the_contract_are_those_of_the_engine() -> None:
+    """Names of materials are written down in the schemas, which know no engine."""
+    look = PictureOptions.model_json_schema()["properties"]["look"]["anyOf"][0]
+    assert look["enum"] == list(MATERIALS)
 
 
 def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) -> None:
@@ -260,6 +269,10 @@ def test_the_python_client_has_it_all(api: Api, run: RunRecord, tmp_path: Path) 
         file = client.export(job, tmp_path / "cloud.npz", "npz", frames=[0])
         with np.load(file) as arrays:
             assert any(array.shape[-2:] == run.source_points.shape for array in arrays.values())
+        still = PictureOptions(width=64, height=48, background="black")
+        file = client.export(job, tmp_path / "a.gif", "gif", frames=[0], picture=still)
+        with Image.open(file) as image:
+            assert image.size == (64, 48) and image.convert("RGB").getpixel((0, 0)) == (0, 0, 0)
         with pytest.raises(ServiceError, match="plx"):
             client.export(job, tmp_path / "no", "plx")
         with pytest.raises(ServiceError, match="`surface`"):

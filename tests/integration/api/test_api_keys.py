@@ -18,6 +18,7 @@ from chamfer_morph.server.database.api_keys import ApiKeyStore
 from chamfer_morph.server.database.callers import Caller, secret_digest
 from chamfer_morph.server.database.tables import KeyRow
 from tests.integration.api.conftest import MORPH, Api
+from tests.patience import PATIENCE
 
 
 def _key(api: Api, name: str, *scopes: str, by: dict[str, str] | None = None) -> dict[str, str]:
@@ -29,7 +30,7 @@ def _key(api: Api, name: str, *scopes: str, by: dict[str, str] | None = None) ->
 def _status_of_headers(api: Api, method: str, path: str, length: int) -> int:
     """What is answered to headers that announce JSON, of which nothing comes."""
     url = api.http.base_url
-    with socket.create_connection((url.host, url.port), timeout=10) as connection:
+    with socket.create_connection((url.host, url.port), timeout=PATIENCE) as connection:
         head = f"{method} {path} HTTP/1.1\r\nHost: {url.host}\r\n"
         head += f"Content-Type: application/json\r\nContent-Length: {length}\r\n\r\n"
         connection.sendall(head.encode())
@@ -132,6 +133,9 @@ FOREIGN = [
     {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "cors"},
     {"X-Forwarded-For": "127.0.0.1"},
     {"X-Forwarded-Host": "localhost"},
+    {"X-Forwarded-Port": "443"},
+    {"X-Forwarded-Prefix": "/morph"},
+    {"X-Real-IP": "127.0.0.1"},
     {"Forwarded": "for=127.0.0.1"},
 ]
 
@@ -179,7 +183,7 @@ def test_other_addresses_need_keys(tmp_path: Path) -> None:
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "chamfer_morph.server", *arguments]
         return subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=60, check=False
+            command, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
         )
 
     for command in ("check", "api", "serve"):
@@ -202,7 +206,7 @@ def test_a_key_from_the_environment_or_a_file(tmp_path: Path) -> None:
         return subprocess.run(
             [sys.executable, "-m", "chamfer_morph.server", "check"],
             env=os.environ | {"MORPH_DATA_DIR": str(tmp_path), "MORPH_HOST": "0.0.0.0"} | variables,
-            capture_output=True, text=True, timeout=60, check=False,
+            capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip
 
     store = ApiKeyStore(sa.create_engine(f"sqlite:///{tmp_path / 'morph.sqlite'}"))

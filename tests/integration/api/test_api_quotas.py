@@ -18,6 +18,7 @@ from chamfer_morph.worker.janitor import delete_expired
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import COARSE, MORPH, Api, ApiProcess
+from tests.patience import PATIENCE
 
 
 def test_parallel_submits_stay_within_the_quota(
@@ -153,18 +154,18 @@ def test_temporary_files_count(make_api: Callable[..., Api], cube: bytes) -> Non
 
     def content() -> Iterator[bytes]:
         yield cube + b"#" * 600_000 + b"\n"
-        begun.wait(30)
-        go_on.wait(30)
+        begun.wait(PATIENCE)
+        go_on.wait(PATIENCE)
         yield b"#\n" * 10
 
     def upload(_: int) -> int:
-        with httpx.Client(base_url=api.http.base_url, timeout=60) as http:
+        with httpx.Client(base_url=api.http.base_url, timeout=PATIENCE) as http:
             query = {"name": "cube.obj"}
             return http.post("/v1/meshes", params=query, content=content()).status_code
 
     with ThreadPoolExecutor(2) as pool:
         answers = pool.map(upload, range(2))
-        begun.wait(30)
+        begun.wait(PATIENCE)
         go_on.set()
         assert sorted(answers) == [201, 413]
     assert not api.uploads()
@@ -198,15 +199,16 @@ def test_disk_is_summed_up(either: Api, run: RunRecord) -> None:
 def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
     """As many as it takes, and none that has not finished."""
     sizes, storage, queue = either.context.job_sizes, either.context.storage, either.context.queue
+    deletions = either.context.deletions
     jobs = [either.finished(run) for _ in range(3)]
     running = either.running(run)
     room = storage.job_bytes(jobs[1]) + storage.job_bytes(jobs[2])
     settings = either.settings.model_copy(update={"retention_bytes": room})
-    assert delete_expired(settings, queue, sizes) == [jobs[0]]
-    assert delete_expired(settings, queue, sizes) == []
+    assert delete_expired(settings, queue, sizes, deletions) == [jobs[0]]
+    assert delete_expired(settings, queue, sizes, deletions) == []
     by_age = either.settings.model_copy(update={"retention_days": 1e-9})
-    assert delete_expired(by_age, queue, sizes, by_age=False) == []
-    assert delete_expired(by_age, queue, sizes) == jobs[1:]
+    assert delete_expired(by_age, queue, sizes, deletions, by_age=False) == []
+    assert delete_expired(by_age, queue, sizes, deletions) == jobs[1:]
     left: list[Path] = [*(storage.root / "jobs").iterdir()]
     assert [path.name for path in left] == [running] and sizes.total() == 0
 
@@ -221,3 +223,14 @@ def test_a_job_that_no_worker_has_room_for_is_refused(make_api: Callable[..., Ap
     assert "400 MB" in fine.json()["detail"]
     assert "sampling.points_per_cell_edge" in fine.json()["remedy"]
     api.submit(overrides={"sampling.points_per_cell_edge": 2})
+
+
+def test_particles_follow_the_grid(make_api: Callable[..., Api]) -> None:
+    """A finer one takes more of them, and memory; on a coarse one a shape has too few."""
+    api = make_api(job_memory_bytes=2_300_000_000)
+    for settings, cause in (
+        ({"grid.dx": 0.2, "time.dt": 0.0005, "sampling.points_per_cell_edge": 1}, "2,300 MB"),
+        ({"grid.dx": 8, "sampling.points_per_cell_edge": 4}, "fewer than 500"),
+    ):
+        answer = api.http.post("/v1/jobs", json=MORPH | {"method": "joint", "overrides": settings})
+        assert answer.status_code == 422 and cause in answer.json()["detail"], answer.text

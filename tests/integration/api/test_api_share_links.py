@@ -18,6 +18,7 @@ from chamfer_morph.server.database.tables import ShareLinkRow
 from chamfer_morph.server.quotas import SHARE_LINKS
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import MORPH, Api
+from tests.patience import PATIENCE
 
 COMMAND = Path(sys.executable).with_name("morph")
 
@@ -143,7 +144,7 @@ def test_the_command_shares(api: Api) -> None:
         ran = subprocess.run(
             [COMMAND, "share", job, "--server", server, "--json", *arguments],
             env={name: value for name, value in os.environ.items() if name[:6] != "MORPH_"},
-            capture_output=True, text=True, timeout=120, check=True,
+            capture_output=True, text=True, timeout=PATIENCE, check=True,
         )  # fmt: skip
         return json.loads(ran.stdout)
 

@@ -6,7 +6,6 @@ import gzip
 import hashlib
 import io
 import socket
-import time
 import zipfile
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import psutil
 
 from tests.integration.api.conftest import Api
+from tests.patience import PATIENCE, until
 
 BIG = 200 * 2**20
 
@@ -147,24 +147,12 @@ def test_a_stalled_body_is_dropped(make_api: Callable[..., Api]) -> None:
         assert b" 408 " in status, path
 
 
-def test_a_slow_upload_arrives(make_api: Callable[..., Api], cube: bytes) -> None:
-    """Slow is not stalled: pieces within the limit of each other are waited for."""
-    api = make_api(upload_timeout_seconds=1)
-
-    def pieces() -> Iterator[bytes]:
-        for i in range(0, len(cube), 50):
-            time.sleep(0.1)
-            yield cube[i : i + 50]
-
-    assert api.http.post("/v1/meshes?name=slow.obj", content=pieces()).status_code == 201
-
-
 def test_a_cut_upload_leaves_nothing(api: Api) -> None:
     """When the connection breaks, the temporary file goes."""
     with _begin(api, length=4_000_000) as stream:
         stream.sendall(b"v 0 0 0\n" * 200_000)
-        _wait(lambda: len(api.uploads()) == 1)
-    _wait(lambda: not api.uploads())
+        until(lambda: len(api.uploads()) == 1)
+    until(lambda: not api.uploads())
     assert not api.http.get("/v1/meshes").json()["items"]
 
 
@@ -237,16 +225,9 @@ def _begin(
 ) -> socket.socket:
     """A connection with the head of an upload sent."""
     url = api.http.base_url
-    stream = socket.create_connection((url.host, url.port or 80), timeout=10)
+    stream = socket.create_connection((url.host, url.port or 80), timeout=PATIENCE)
     stream.sendall(
         f"POST {path} HTTP/1.1\r\nHost: {url.host}\r\nContent-Type: {kind}\r\n"
         f"Content-Length: {length}\r\n\r\n".encode()
     )
     return stream
-
-
-def _wait(condition: Callable[[], bool], seconds: float = 5) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.02)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import socket
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import httpx
 import numpy as np
 import pytest
 import trimesh
@@ -23,7 +23,8 @@ from morph_engine.results.fields import FIELDS
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
-from tests.integration.api.conftest import COARSE, CUBE, Api
+from tests.integration.api.conftest import COARSE, CUBE, Api, halted_child
+from tests.patience import until
 
 
 def decoded(answer: Any) -> np.ndarray:
@@ -106,7 +107,9 @@ def test_fields_of_a_frame(api: Api, run: RunRecord) -> None:
     assert api.http.get(f"{path}/2/fields/speed").status_code == 404
 
 
-def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) -> None:
+def test_previews_of_meshes_and_shapes(
+    api: Api, cube: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The particles of a shape before any job, with what to know of it."""
     answer = api.http.get("/v1/shapes/sphere/particles?points_per_cell_edge=2")
     assert answer.status_code == 200, answer.text
@@ -115,7 +118,9 @@ def test_previews_of_meshes_and_shapes(api: Api, cube: bytes, tmp_path: Path) ->
     np.testing.assert_allclose(positions, wanted, atol=3e-4)
     assert answer.headers["Morph-Count"] == str(len(wanted))
     assert json.loads(answer.headers["Morph-Warnings"]) == []
-    text = api.http.get("/v1/shapes/text%3AA%2FB/particles?points_per_cell_edge=2")
+    with monkeypatch.context() as away:
+        away.setenv("HOME", str(tmp_path / "home"))  # where Matplotlib has no list of fonts yet
+        text = api.http.get("/v1/shapes/text%3AA%2FB/particles?points_per_cell_edge=2")
     assert text.status_code == 200 and int(text.headers["Morph-Count"]) > 500
     mesh = api.http.post("/v1/meshes?name=cube.obj", content=cube).json()["id"]
     answer = api.http.get(f"/v1/meshes/{mesh}/particles?points_per_cell_edge=1&format=f32")
@@ -154,10 +159,12 @@ def test_a_preview_that_nobody_waits_for_is_not_computed(api: Api) -> None:
     path, previews = "/v1/shapes/star/particles?points_per_cell_edge=", api.context.previews
     with ThreadPoolExecutor() as pool:
         first = pool.submit(api.http.get, f"{path}5")
-        while not previews._flights:
-            assert not first.done()
-        with pytest.raises(httpx.ReadTimeout):
-            api.http.get(f"{path}6", timeout=0.3)
+        child = halted_child("sample_shape")
+        url = api.http.base_url
+        with socket.create_connection((url.host, url.port or 80)) as plain:
+            plain.sendall(f"GET {path}6 HTTP/1.1\r\nHost: {url.host}\r\n\r\n".encode())
+            until(lambda: len(previews._flights) == 2)
+        child.resume()
         assert first.result().status_code == 200
     assert api.http.get(f"{path}2").status_code == 200
     assert {points_per_cell_edge for _, points_per_cell_edge, *_ in previews._cache} == {5, 2}

@@ -4,6 +4,7 @@ import { number } from "../format.js";
 import { iconButton } from "../icons.js";
 import { query, setQuery } from "../navigation.js";
 import { COLOURS } from "./colors.js";
+import { FOCUS } from "./focus.js";
 import { LOOKS } from "./looks.js";
 import { LEVELS } from "./quality.js";
 
@@ -31,12 +32,14 @@ export const USUAL = {
   offset: 0,
   up: "y",
   quality: "auto",
+  focus: "sharp",
 };
 
 /** What the address may say, so that who follows it sees the same. */
 const ADDRESSED = {
   shape: SHAPES.map(([name]) => name),
   look: Object.keys(LOOKS),
+  focus: Object.keys(FOCUS),
   quality: ["auto", ...LEVELS.map(({ name }) => name)],
 };
 
@@ -104,6 +107,12 @@ export class Display {
           ["z", "z"],
         ],
         "The axis that points up",
+      ),
+      this.#choice(
+        "focus",
+        "Focus",
+        Object.entries(FOCUS).map(([name, { label }]) => [name, label]),
+        "Depth of field: whether what is nearer or farther than what one looks at is blurred",
       ),
       this.#choice(
         "quality",

@@ -1,19 +1,22 @@
 /** The time in which a job is played, apart from how many frames it has. */
 import { get } from "../api.js";
+import { choice, offer } from "../choice.js";
 import { h } from "../dom.js";
 
 const PICTURES_PER_SECOND = 30;
 const SECONDS = [2, 3, 5, 8, 12, 20];
 const USUAL_SECONDS = 5;
+const RESTS = [0, 0.5, 1, 2];
 const PACES = [
   ["frames", "Frame by frame"],
   ["linear", "Even"],
   ["in-out", "Slow at each shape"],
-  ["overshoot", "Past each shape and back"],
+  ["overshoot", "Past it and back"],
 ];
 const REPEATS = [
   ["none", "Once"],
   ["ping-pong", "There and back"],
+  ["loop", "In a loop"], // where the last shape is the first one
 ];
 
 /** Controls of the playing time of one job; which frame is shown when is the service's to say. */
@@ -26,41 +29,55 @@ export class Pace {
    */
   constructor({ jobId, timeline, signal }) {
     Object.assign(this, { jobId, timeline, signal });
-    this.easing = this.#choice("pace", "Pace", PACES, "frames");
-    this.seconds = this.#choice("seconds", "Lasts", SECONDS.map((s) => [String(s), `${s} s`]), String(USUAL_SECONDS));
-    this.repeat = this.#choice("repeat", "Played", REPEATS, "none");
+    const change = () => this.#change();
+    const durations = (all) => all.map((seconds) => [String(seconds), `${seconds} s`]);
+    this.easing = choice("play-pace", "Pace", PACES, { change });
+    this.seconds = choice("play-seconds", "Lasts", durations(SECONDS), { value: String(USUAL_SECONDS), change });
+    this.hold = choice("play-hold", "Rests at each shape", durations(RESTS), { change });
+    this.repeat = choice("play-repeat", "Played", REPEATS, { change });
     this.trouble = h("p", { class: "small fault", role: "alert" });
     this.element = h(
       "div",
       { class: "stack", hidden: true },
       this.easing.field,
       this.seconds.field,
+      this.hold.field,
       this.repeat.field,
       this.trouble,
     );
     this.#reflect();
   }
 
-  /** @param {boolean} there whether the job has its result, without which there is no time to choose. */
-  offer(there) {
+  /** @param {object} job which has a time to choose once its result is there. */
+  offer({ state, source, target }) {
+    const there = state === "succeeded";
+    const closed = JSON.stringify(source) === JSON.stringify(target);
+    offer(this.repeat.select, (name) => name !== "loop" || closed);
     this.element.hidden = !there;
     if (there || this.easing.select.value === "frames") return;
     this.easing.select.value = "frames";
     this.#change();
   }
 
+  /** @returns {object | null} the playing time as requests have it; null where each frame is shown as long. */
+  get request() {
+    const easing = this.easing.select.value;
+    if (easing === "frames") return null;
+    return {
+      easing,
+      seconds: Number(this.seconds.select.value),
+      hold: Number(this.hold.select.value),
+      repeat: this.repeat.select.value,
+      fps: PICTURES_PER_SECOND,
+    };
+  }
+
   async #change() {
     this.#reflect();
     this.trouble.textContent = "";
     const own = (this.asked = {});
-    const easing = this.easing.select.value;
-    if (easing === "frames") return this.timeline.setPace(null);
-    const query = {
-      easing,
-      seconds: this.seconds.select.value,
-      repeat: this.repeat.select.value,
-      fps: PICTURES_PER_SECOND,
-    };
+    const query = this.request;
+    if (!query) return this.timeline.setPace(null);
     try {
       const pace = await get(`/jobs/${this.jobId}/playback`, { query, signal: this.signal });
       if (this.asked === own) this.timeline.setPace(pace);
@@ -73,17 +90,6 @@ export class Pace {
 
   #reflect() {
     const frames = this.easing.select.value === "frames";
-    this.seconds.field.hidden = this.repeat.field.hidden = frames;
-  }
-
-  #choice(name, label, options, value) {
-    const id = `play-${name}`;
-    const select = h(
-      "select",
-      { id, on: { change: () => this.#change() } },
-      options.map(([option, text]) => h("option", { value: option }, text)),
-    );
-    select.value = value;
-    return { select, field: h("div", { class: "field" }, h("label", { class: "small", for: id }, label), select) };
+    for (const { field } of [this.seconds, this.hold, this.repeat]) field.hidden = frames;
   }
 }

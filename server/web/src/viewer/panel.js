@@ -9,6 +9,7 @@ import { Legend } from "./legend.js";
 import { nearest } from "./nearest.js";
 import { OwnColors } from "./own_colors.js";
 import { Surfaces } from "./surfaces.js";
+import { travel } from "./travel.js";
 
 const FIELDS_HELD = 40e6; // bytes
 const PATIENCE_MILLISECONDS = 400;
@@ -38,6 +39,8 @@ export class Panel {
   #landmarks = [];
   #followed = null; // the particle of each
   #targets = new Map(); // by how they are shown and the leg that leads to them
+  #mesh = null; // the surface that is shown, and its vertices on their way
+  #moved = new Float32Array(0);
 
   /**
    * @param {string} jobId
@@ -183,13 +186,34 @@ export class Panel {
     this.#recolour();
   }
 
-  /** Show particles on their way from the frame shown to the next one, at a share of it. */
+  /** Show the matter on its way from the frame shown to the next one, at a share of it. */
   between(share) {
-    if (this.#viewer?.kind !== "points" || matchMedia(LESS_MOTION).matches) return;
+    if (!this.#viewer || matchMedia(LESS_MOTION).matches) return;
+    if (this.#viewer.kind === "surface") return this.#moveSurface(share);
     const positions = this.frames.between(this.index, share);
     if (!positions) return;
     this.#viewer.setFrame(this.index, positions);
     if (this.#ownShown) this.#viewer.setParticleLight(this.#ownShown.after(this.index + 1 + share));
+  }
+
+  #moveSurface(share) {
+    const { vertices } = this.#mesh;
+    const way = this.#travel(this.index, this.#mesh);
+    if (!way) return;
+    if (this.#moved.length !== vertices.length) this.#moved = new Float32Array(vertices.length);
+    for (let i = 0; i < vertices.length; i++) this.#moved[i] = vertices[i] + share * way[i];
+    this.#viewer.moveSurface(this.#moved);
+  }
+
+  /** How far each vertex of a frame's surface goes until the next frame, if that is here. */
+  #travel(index, mesh) {
+    if (!mesh.travel) {
+      const to = this.frames.between(index, 1)?.slice();
+      if (!to) return null;
+      const from = this.frames.positions(index);
+      mesh.travel = travel(mesh.faces, nearest(from, mesh.vertices, 1.5 * this.#viewer.spacing), from, to);
+    }
+    return mesh.travel;
   }
 
   /** Show the source until there is a frame. */
@@ -221,6 +245,7 @@ export class Panel {
     if (before.up !== display.up) viewer.setUp(display.up);
     if (before.look !== display.look) viewer.setLook(display.look);
     if (before.quality !== display.quality) viewer.setQuality(display.quality);
+    if (before.focus !== display.focus) viewer.setFocus(display.focus);
     const { axis, offset } = display;
     viewer.setCut(axis === "none" ? null : { axis, offset });
     const turning = ["colour", "shape", "up", "look"].some((name) => before[name] !== display[name]);
@@ -275,10 +300,11 @@ export class Panel {
       this.#say("This browser does not show 3D graphics; numbers and downloads are below.");
       return null;
     }
-    const { axis, offset, up, look, quality } = this.display;
+    const { axis, offset, up, look, quality, focus } = this.display;
     this.#viewer.setUp(up);
     this.#viewer.setLook(look);
     this.#viewer.setQuality(quality);
+    this.#viewer.setFocus(focus);
     this.#viewer.setCut(axis === "none" ? null : { axis, offset });
     this.#showTarget(this.#viewer);
     this.describe();
@@ -297,7 +323,7 @@ export class Panel {
     const others = () =>
       turn !== this.#turn || this.signal.aborted || shape !== this.display.shape || look !== this.display.look;
     const held = shape === "surface" ? this.#heldSurface() : null;
-    viewer.setSurface(held);
+    viewer.setSurface((this.#mesh = held));
     this.#say(held ? about(held) : this.#absence());
     await this.#paintColours(viewer, held, others);
     if (others() || shape !== "surface" || held || this.#playing || this.#waits) return;
@@ -306,7 +332,7 @@ export class Panel {
       if (others()) return;
       const mesh = await this.#patiently("Computing the surface…", this.surfaces.get(this.index, this.#asked.signal));
       if (others()) return;
-      viewer.setSurface(mesh);
+      viewer.setSurface((this.#mesh = mesh));
       this.#say(about(mesh));
       await this.#paintColours(viewer, mesh, others);
     } catch (error) {
@@ -431,7 +457,7 @@ export class Panel {
   #heldSurface() {
     const { surfaces, index, frames } = this;
     if (this.#playing && surfaces.count < frames.known) {
-      if (!this.#waits) surfaces.fill(frames.known);
+      if (!this.#waits) surfaces.fill(frames.known, (at, mesh) => this.#travel(at, mesh));
       return null;
     }
     return surfaces.held(index) ?? null;

@@ -1,6 +1,7 @@
 /** The 3D view takes the window; what controls it floats over it, and the rest is in a drawer. */
 import { h } from "../dom.js";
 import { iconButton } from "../icons.js";
+import { watchCovered } from "./covered.js";
 import { Drawer } from "./drawer.js";
 import { bindKeys, cameraKeys, showKeys } from "./keys.js";
 import "./viewer.css";
@@ -48,6 +49,7 @@ export function stage({ headline, views, panel, frameAll, display, timeline, she
     ),
     drawer.element,
   );
+  if (views === panel.element) watchCovered(panel, [[headline, tools], [timeline.element], [display.element]], signal);
   bindKeys(
     {
       ...cameraKeys(async (move) => (await panel.viewer)?.steer(move)),

@@ -61,6 +61,13 @@ export class Surface extends Group {
     for (const one of [this.mesh, ...this.counters]) one.geometry = geometry;
   }
 
+  /** @param {Float32Array} vertices where those of the mesh are for now [grid units]. */
+  setVertices(vertices) {
+    const { position } = this.mesh.geometry.attributes;
+    position.array = vertices;
+    position.needsUpdate = true;
+  }
+
   /** @param {string} name of the look. */
   setLook(name) {
     const before = this.material;

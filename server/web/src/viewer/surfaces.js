@@ -31,9 +31,14 @@ export class Surfaces {
     return this.#held.get(index);
   }
 
-  /** Get those of all frames, one after the other. */
-  fill(count) {
-    this.#filling ??= this.#getAll(count).finally(() => (this.#filling = null));
+  /**
+   * Get those of all frames, one after the other.
+   *
+   * @param {number} count of frames.
+   * @param {(index: number, mesh: object) => void} prepare does beforehand what motion needs.
+   */
+  fill(count, prepare) {
+    this.#filling ??= this.#getAll(count, prepare).finally(() => (this.#filling = null));
     return this.#filling;
   }
 
@@ -42,9 +47,9 @@ export class Surfaces {
     this.#bytes = 0;
   }
 
-  async #getAll(count) {
+  async #getAll(count, prepare) {
     try {
-      for (let index = 0; index < count && this.#bytes < BUDGET; index++) await this.get(index);
+      for (let index = 0; index < count && this.#bytes < BUDGET; index++) prepare(index, await this.get(index));
     } catch {
       // the particles of these frames are shown
     }
@@ -61,7 +66,7 @@ export class Surfaces {
   }
 }
 
-/** Bytes of a surface with its normals, its colours and the particle of each vertex. */
+/** Bytes of a surface with its normals, where they go, its colours and the particle of each vertex. */
 function size({ vertices, faces, light }) {
-  return (7 / 3) * vertices.byteLength + faces.byteLength + (light?.byteLength ?? 0);
+  return (10 / 3) * vertices.byteLength + faces.byteLength + (light?.byteLength ?? 0);
 }

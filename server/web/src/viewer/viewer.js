@@ -21,6 +21,8 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import { backdrop } from "./backdrop.js";
 import { CASTS, ContactShadow } from "./contact_shadow.js";
+import { DepthOfField, POINTS } from "./depth_of_field.js";
+import { FOCUS } from "./focus.js";
 import { LOOKS } from "./looks.js";
 import { Marks } from "./marks.js";
 import { BALL } from "./matcap.js";
@@ -70,10 +72,13 @@ export class Viewer {
   #resting = 0;
   #occlusion = null;
   #behind = null;
+  #lens = 0; // in radii of what is shown
+  #depth = null;
   #ground = Infinity; // its level along the upward axis
   #cast = 0; // share of the particles that cast the shadow there is; 0 where it is of something else
   #told = "";
   #spaced = false;
+  #covered = { top: 0, right: 0, bottom: 0 };
   #reducedMotion;
   #onView;
   #onQuality;
@@ -104,7 +109,7 @@ export class Viewer {
       const lamp = new DirectionalLight(0xffffff, strength);
       lamp.position.set(...place);
       lamp.layers.enable(BALL);
-      this.camera.add(lamp);
+      this.camera.add(lamp, lamp.target); // both go with the camera
     }
     this.particles = new Particles();
     this.ghost = new Particles({ ghost: true });
@@ -212,6 +217,12 @@ export class Viewer {
     this.draw();
   }
 
+  /** @param {string} name of how deep what is sharp reaches, see focus.js; seen at rest, and in pictures. */
+  setFocus(name) {
+    this.#lens = FOCUS[name].lens;
+    this.draw();
+  }
+
   #space(distance) {
     this.spacing = distance;
     this.particles.radius = RADIUS * distance;
@@ -256,6 +267,12 @@ export class Viewer {
     if (!mesh) return;
     this.surface.setMesh(mesh);
     this.scene.environment ??= roomLight(this.renderer);
+  }
+
+  /** @param {Float32Array} vertices where those of the surface are until another one is set [grid units]. */
+  moveSurface(vertices) {
+    this.surface.setVertices(vertices);
+    this.#changed();
   }
 
   /**
@@ -336,6 +353,48 @@ export class Viewer {
     this.draw();
   }
 
+  /**
+   * Where the eye is, as camera keys of exports have it.
+   *
+   * @returns {{azimuth: number, elevation: number, zoom: number}} degrees about the upward axis and above the
+   *   horizon, and how many times larger things are than where all is in sight.
+   */
+  get eye() {
+    const arm = this.camera.position.clone().sub(this.controls.target).normalize();
+    const [upward, front, aside] = this.#up === "z" ? [arm.z, arm.x, arm.y] : [arm.y, arm.z, arm.x];
+    const degrees = 180 / Math.PI;
+    const whole = this.#farAway(this.#frameOf?.radius ?? this.distance);
+    return {
+      azimuth: Math.atan2(aside, front) * degrees,
+      elevation: Math.asin(Math.min(Math.max(upward, -1), 1)) * degrees,
+      zoom: Math.min(Math.max(whole / this.distance, 0.1), 100),
+    };
+  }
+
+  /**
+   * Leave room for what floats over the view: the middle of what is shown goes to the middle of the rest.
+   *
+   * @param {{top: number, right: number, bottom: number}} sides how much of each is covered [pixels].
+   */
+  setCovered(sides) {
+    if (Object.entries(sides).every(([name, pixels]) => this.#covered[name] === pixels)) return;
+    this.#covered = sides;
+    this.resize();
+  }
+
+  /** Width and height that nothing covers, at least a quarter of each [pixels]. */
+  get #free() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    const { top, right, bottom } = this.#covered;
+    return [Math.max(width - right, width / 4), Math.max(height - top - bottom, height / 4)];
+  }
+
+  /** @returns {number} from where all of a ball is in sight [grid units]. */
+  #farAway(radius) {
+    const narrow = Math.min(...this.#free) / Math.max(this.element.clientHeight, 1);
+    return (MARGIN * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
+  }
+
   /** @returns {number} from the camera to what it looks at [grid units]. */
   get distance() {
     return this.camera.position.distanceTo(this.controls.target);
@@ -352,12 +411,10 @@ export class Viewer {
     this.#fit(new Sphere(center, radius));
     this.#ground = box.min[this.#up];
     this.#touched = false;
-    const narrow = Math.min(1, this.camera.aspect);
-    const distance = (MARGIN * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
     this.controls.target.copy(center);
     this.camera.position
       .set(...FROM[this.#up])
-      .setLength(distance)
+      .setLength(this.#farAway(radius))
       .add(center);
     this.#quietly(() => this.controls.update());
     this.draw();
@@ -441,7 +498,8 @@ export class Viewer {
     const measured = quality.measures(kind, level);
     const begun = performance.now();
     this.#render(FINENESS[level].name);
-    if (!measured) return;
+    if (motion === "still") for (let point = 0; point < this.#points; point++) this.#blur(point);
+    if (!measured || this.#points) return;
     const gl = this.renderer.getContext();
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until all is drawn
     quality.took(kind, level, performance.now() - begun);
@@ -456,16 +514,44 @@ export class Viewer {
   #rest() {
     if (this.disposed) return;
     const { kind, quality } = this;
+    const lens = this.#lens;
+    this.#lens = 0;
     this.render();
+    this.#lens = lens;
     if (quality.learns(kind, quality.level(kind, "still"))) {
       this.#resting = setTimeout(() => this.#rest());
       return;
     }
+    this.#focus(0);
+  }
+
+  /** Blur what is nearer or farther than what is looked at, a point of the lens after the other. */
+  #focus(point) {
+    if (this.disposed) return;
+    if (point < this.#points) {
+      this.#blur(point);
+      this.#resting = setTimeout(() => this.#focus(point + 1));
+      return;
+    }
+    const { kind, quality } = this;
     this.canvas.removeAttribute("aria-busy");
     const [still, moving] = ["still", "moving"].map((motion) => FINENESS[quality.level(kind, motion)].label.toLowerCase());
     if (this.#told === still + moving) return;
     this.#told = still + moving;
     this.#onQuality({ still, moving });
+  }
+
+  /** @returns {number} how many points of a lens make up a picture at rest; 0 where all is sharp. */
+  get #points() {
+    return this.#lens ? POINTS : 0;
+  }
+
+  #blur(point) {
+    const { renderer, camera, controls, kind, quality } = this;
+    const fineness = FINENESS[quality.level(kind, "still")].name;
+    const lens = this.#lens * (this.#frameOf?.radius ?? 10);
+    this.#depth ??= new DepthOfField();
+    this.#depth.add(point, { renderer, camera, target: controls.target, lens }, () => this.#render(fineness));
   }
 
   #render(fineness) {
@@ -528,15 +614,25 @@ export class Viewer {
     if (!width || !height) return;
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.#centre();
     this.quality.forget();
     if (!this.#touched) this.reset();
     this.draw();
   }
 
-  /** @returns {Promise<Blob>} what is shown, as PNG. */
+  /** Put what the camera looks at into the middle of what nothing covers. */
+  #centre() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    const { top, right, bottom } = this.#covered;
+    this.camera.setViewOffset(width, height, right / 2, (bottom - top) / 2, width, height);
+  }
+
+  /** @returns {Promise<Blob>} what is shown, as PNG, in the middle of the picture. */
   screenshot() {
+    this.camera.clearViewOffset();
     this.render();
+    this.#centre();
+    this.draw();
     return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
   }
 
@@ -553,10 +649,12 @@ export class Viewer {
     };
     // films are opaque, where pictures let through what is behind them
     this.renderer.setClearColor(getComputedStyle(this.element.parentElement).backgroundColor, 1);
+    this.camera.clearViewOffset();
     try {
       return await record(this.canvas, draw, options);
     } finally {
       this.renderer.setClearColor(0x000000, 0);
+      this.#centre();
       this.draw();
     }
   }
@@ -572,6 +670,7 @@ export class Viewer {
     this.scene.environment?.dispose();
     this.#behind?.dispose();
     this.#occlusion?.dispose();
+    this.#depth?.dispose();
     this.surface.dispose();
     this.shadow.dispose();
     this.marks.dispose();

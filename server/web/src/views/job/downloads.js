@@ -1,17 +1,29 @@
 /** Files of a job: what is there already, and exports that are made on demand. */
 import { Problem, get, pause, post, save } from "../../api.js";
+import { choice, offer } from "../../choice.js";
 import { fill, h } from "../../dom.js";
 import { bytes, jobFileName, lives, percent } from "../../format.js";
 import { COLOURS } from "../../viewer/colors.js";
 import { shared } from "../../share_link.js";
 import { problemNotice } from "../../problem_notice.js";
+import { PictureOptions } from "./picture_options.js";
 
 const ASK_MILLISECONDS = 500;
 
-/** The section; `update` tells it of the job, `frame` returns the index of the frame shown. */
+/** The section; `update` tells it of the job. */
 export class Downloads {
-  constructor({ jobId, frame, signal }) {
-    Object.assign(this, { jobId, frame, signal });
+  /**
+   * @param {object} options
+   * @param {string} options.jobId
+   * @param {import("../../viewer/panel.js").Panel} options.panel
+   * @param {import("../../viewer/timeline.js").Timeline} options.timeline tells the frame shown.
+   * @param {import("../../viewer/pace.js").Pace} options.pace tells in what time all is played.
+   * @param {AbortSignal} options.signal
+   */
+  constructor({ jobId, panel, timeline, pace, signal }) {
+    Object.assign(this, { jobId, timeline, pace, signal });
+    const share = () => this.frame() / Math.max(timeline.count - 1, 1);
+    this.picture = new PictureOptions({ panel, share });
     this.trouble = h("div");
     this.files = h("div", { class: "row" });
     this.exports = h("div", { class: "stack exports" });
@@ -24,6 +36,11 @@ export class Downloads {
       this.trouble,
     );
     if (!shared()) this.#offerExports();
+  }
+
+  /** @returns {number} index of the frame shown. */
+  frame() {
+    return Math.max(this.timeline.index, 0);
   }
 
   /** @param {object} job as it is now. */
@@ -85,68 +102,62 @@ export class Downloads {
     } catch {
       return; // a service without exports
     }
-    const choose = (label, options, change = () => {}) => {
-      const id = `export-${label.split(" ")[0].toLowerCase()}`;
-      const select = h(
-        "select",
-        { id, on: { change } },
-        options.map(([value, text]) => h("option", { value }, text)),
-      );
-      const field = h("div", { class: "field" }, h("label", { class: "small quiet", for: id }, label), select);
-      return { select, field };
-    };
     const chosen = () => formats.find((one) => one.name === format.select.value);
     const holds = (what) => content.select.value === what && chosen().carries.includes(what);
     const moving = () => holds("tracked");
     const reflect = () => {
       const { carries, description, kind } = chosen();
       explain.textContent = `${description}.`;
-      for (const option of content.select.options) {
-        option.disabled = option.hidden = !carries.includes(option.value);
-      }
-      const possible = [...content.select.options].filter((option) => !option.disabled);
-      content.field.hidden = possible.length < 2;
-      if (possible.length && !holds(content.select.value)) content.select.value = possible[0].value;
+      content.field.hidden = offer(content.select, (value) => carries.includes(value)) < 2;
       frames.field.hidden = kind === "table" || moving();
       frames.select.value = kind === "frame" ? "this" : "all";
       fields.field.hidden = !carries.includes("fields") || moving();
-      units.field.hidden = kind === "table";
+      units.field.hidden = kind === "table" || carries.includes("picture");
+      this.picture.offer(carries);
+      ends.field.hidden = !holds("surface") && !moving();
       colours.field.hidden = !carries.includes("texture") || !moving();
     };
-    const format = choose("Format", formats.map((one) => [one.name, one.name.toUpperCase()]), reflect);
-    const content = choose("Content", [
+    const names = formats.map((one) => [one.name, one.name.toUpperCase()]);
+    const format = choice("export-format", "Format", names, { change: reflect });
+    const contents = [
       ["points", "Particles"],
       ["surface", "Surface"],
       ["tracked", "Moving mesh"],
-    ], () => reflect());
-    const frames = choose("Frames", [
+    ];
+    const content = choice("export-content", "Content", contents, { change: reflect });
+    const frames = choice("export-frames", "Frames", [
       ["this", "The one shown"],
       ["all", "All"],
     ]);
-    const fields = choose("Values", [
+    const fields = choice("export-values", "Values", [
       ["", "None"],
       ...Object.entries(COLOURS)
         .filter(([name]) => name !== "height")
         .map(([name, { label }]) => [name, label]),
     ]);
-    const units = choose("Lengths in", [
+    const units = choice("export-lengths", "Lengths in", [
       ["user", "Your units"],
       ["source", "Those of the source"],
       ["target", "Those of the target"],
       ["grid", "Grid units"],
     ]);
-    const colours = choose("Colours", [
+    const colours = choice("export-colours", "Colours", [
       ["", "At its corners"],
       ["1024", "As textures, 1024 pixels"],
       ["2048", "As textures, 2048 pixels"],
+    ]);
+    const ends = choice("export-ends", "First and last frame", [
+      ["matter", "As the matter lies"],
+      ["meshes", "Drawn to your meshes"],
     ]);
     const explain = h("p", { class: "quiet small" });
     const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
       event.preventDefault();
-      const { kind } = chosen();
+      const { kind, carries } = chosen();
       const tracked = moving();
       const one = kind !== "table" && !tracked && frames.select.value === "this";
+      const timed = !one && chosen().timed && (kind !== "frame" || tracked);
       const state = h("div", { class: "stack" });
       made.prepend(state);
       await this.#export(state, {
@@ -154,6 +165,9 @@ export class Downloads {
         frames: one ? [this.frame()] : null,
         surface: holds("surface"),
         tracked,
+        snap: !ends.field.hidden && ends.select.value === "meshes",
+        ...(timed && this.pace.request),
+        ...(carries.includes("picture") && { picture: this.picture.request }),
         ...(!colours.field.hidden && colours.select.value && { texture: Number(colours.select.value) }),
         units: units.select.value,
         fields: fields.field.hidden || !fields.select.value ? [] : [fields.select.value],
@@ -170,7 +184,9 @@ export class Downloads {
         frames.field,
         fields.field,
         units.field,
+        ends.field,
         colours.field,
+        this.picture.element,
         h("button", { class: "primary" }, "Export"),
       ),
       explain,

@@ -55,7 +55,7 @@ export async function show(root, { id }, signal) {
   const summary = new Summary({ changed: () => changed(), signal });
   const sharing = shared() ? null : new Sharing({ jobId: id, signal });
   const history = new History();
-  const downloads = new Downloads({ jobId: id, frame: () => Math.max(timeline.index, 0), signal });
+  const downloads = new Downloads({ jobId: id, panel, timeline, pace, signal });
   const rows = new Map();
   panel.metrics = (index) => rows.get(index) ?? null;
 
@@ -77,7 +77,7 @@ export async function show(root, { id }, signal) {
     known = job.state;
     summary.update(job);
     downloads.update(job);
-    pace.offer(job.state === "succeeded");
+    pace.offer(job);
     panel.grows = lives(job.state);
     history.set({ job });
     panel.plan(job);

@@ -10,6 +10,7 @@ import { Preview } from "./preview.js";
 
 const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf,.zip,.mtl,.bin,.png,.jpg,.jpeg,.webp";
 const TEXT = "text:";
+const LONGEST_TEXT = 60; // characters
 const EARLIER = 50;
 
 /** The choice of one shape, with what the service sees in it. */
@@ -305,7 +306,7 @@ export class Chooser {
     const trouble = h("p", { class: "fault", role: "alert", id: `${this.role}-text-fault` });
     const change = () => {
       const fine = this.word.checkValidity();
-      fill(trouble, fine ? "" : "Give up to 58 letters and digits without spaces.");
+      fill(trouble, fine ? "" : "Give a letter or more.");
       this.word.toggleAttribute("aria-invalid", false);
       if (!fine) this.word.setAttribute("aria-invalid", "true");
     };
@@ -317,8 +318,8 @@ export class Chooser {
       id: `${this.role}-text`,
       type: "text",
       required: true,
-      pattern: "[A-Za-z0-9]{1,58}",
-      maxlength: 58,
+      pattern: ".*\\S.*",
+      maxlength: LONGEST_TEXT,
       autocomplete: "off",
       spellcheck: "false",
       "aria-describedby": `${this.role}-text-hint ${this.role}-text-fault`,
@@ -327,9 +328,9 @@ export class Chooser {
     return h(
       "div",
       { class: "field" },
-      h("label", { for: `${this.role}-text` }, "Word"),
+      h("label", { for: `${this.role}-text` }, "Text"),
       this.word,
-      h("p", { class: "hint", id: `${this.role}-text-hint` }, "Its letters are made solid."),
+      h("p", { class: "hint", id: `${this.role}-text-hint` }, "Its letters are made solid, words in lines. Letters of any script that an installed font has."),
       trouble,
     );
   }

@@ -1,7 +1,8 @@
 /** A new morph: two shapes, how to move between them, and off it goes. */
 
 import { get, post } from "../../api.js";
-import { fill, h } from "../../dom.js";
+import { choice, offer } from "../../choice.js";
+import { fill, h, reveal } from "../../dom.js";
 import { bytes, duration, plural } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
@@ -12,11 +13,27 @@ import { fromJob, fromQuery, settingsOf, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
 import { AS_IT_IS, posesOf } from "./pose.js";
 import { Landmarks } from "./landmarks.js";
+import { research } from "./research.js";
 import { methodsWith, settings } from "./schema.js";
 import { Settings } from "./settings.js";
 import "./new.css";
 
 const FIT = "sampling.fit";
+const EDGE = "sampling.points_per_cell_edge";
+const FINENESS = [
+  ["2", "Draft"],
+  ["3", "Usual"],
+  ["4", "Fine"],
+  ["5", "Finest"],
+];
+const MATTER = [
+  ["fast", "Usual"],
+  ["stiff", "Stiff"],
+  ["soft", "Soft"],
+  ["viscous", "Viscous"],
+  ["fluid", "A drop"],
+];
+const OTHER = ["", "As under Research"];
 const LANDMARKS = "landmarks";
 const FIRST_BETWEEN = { shape: "torus" };
 const MOST_BETWEEN = 8; // the service takes more
@@ -30,6 +47,7 @@ export async function show(root, params, signal) {
   const draft = params.like ? await like(params.like, signal) : fromQuery(params);
   if (draft.methods.length === 0) draft.methods = [methods[0].name];
   const form = new Form({ methods, presets, shapes, schema }, draft, signal);
+  if (!isPlain(draft, methods[0].name)) form.research.open = true;
   await form.valuesOf(draft); // a form that filled itself later would write over what is typed
   fill(root, form.element);
   await form.changed({});
@@ -49,6 +67,7 @@ class Form {
     Object.assign(this, { draft, signal });
     this.key = freshKey();
     this.presets = new Map();
+    this.flowing = methods[0].name; // the presets of matter are its own
     this.shapes = shapes;
     const heard = (role) => ({
       changed: (shape) => this.changed({ [role]: shape, ...this.withoutMarks(role, shape) }),
@@ -72,6 +91,10 @@ class Form {
     this.methods = new Methods(methods, (names) => this.changed({ methods: names }));
     this.settings = new Settings(settings(schema), TITLES, (path, value) => this.set(path, value));
     this.preset = this.presetField(presets);
+    const taken = (path, number) => ({ target }) => target.value && this.set(path, number(target.value));
+    this.fineness = choice("fineness", "Fineness", [...FINENESS, OTHER], { change: taken(EDGE, Number) });
+    const matter = ({ target }) => target.value && this.changed({ preset: target.value });
+    this.matter = choice("matter", "Matter", [...MATTER, OTHER], { change: matter });
     this.name = h("input", {
       id: "name",
       type: "text",
@@ -91,16 +114,15 @@ class Form {
       this.fitting,
       this.turning,
       this.landmarks.element,
-      h("section", { class: "stack part" }, this.methods.element),
       h(
         "section",
-        { class: "stack part" },
-        h("h2", null, "Run"),
+        { class: "stack part", "aria-label": "The morph" },
         h(
           "div",
           { class: "grid" },
-          this.preset.element,
-          this.settings.main,
+          this.matter.field,
+          this.fineness.field,
+          this.settings.main.frames,
           h(
             "div",
             { class: "field" },
@@ -110,7 +132,12 @@ class Form {
           ),
         ),
       ),
-      this.settings.element,
+      (this.research = research(
+        this.methods.element,
+        h("h3", null, "Run"),
+        h("div", { class: "grid" }, this.preset.element, this.settings.main[EDGE], this.settings.main[FIT]),
+        this.settings.element,
+      )),
       this.trouble,
       h("div", { class: "spread send" }, this.cost, this.submit),
     );
@@ -140,7 +167,7 @@ class Form {
     const { source, via, target, methods, preset, name, overrides } = this.draft;
     this.settings.show(values, overrides, methods);
     const value = (path) => overrides[path] ?? values[path];
-    const edge = value("sampling.points_per_cell_edge");
+    const edge = value(EDGE);
     const fit = value(FIT);
     const sampling = { points_per_cell_edge: edge, fit };
     if (fit !== this.fit) this.hideFit();
@@ -153,6 +180,9 @@ class Form {
     if (fit === "none" && (source.mesh || target.mesh)) this.showNoFit(FIT in overrides);
     this.methods.show(methods);
     this.preset.show(preset);
+    choose(this.matter.select, preset);
+    choose(this.fineness.select, String(edge));
+    this.matter.field.hidden = !methods.includes(this.flowing);
     if (document.activeElement !== this.name) this.name.value = name;
     const jobs = methods.length;
     fill(this.submit, jobs === 1 ? "Morph" : `Morph with ${jobs} methods`);
@@ -321,7 +351,7 @@ class Form {
     }
     const { wrong } = this.settings;
     if (wrong) {
-      if (this.settings.element.contains(wrong.element)) this.settings.element.open = true;
+      reveal(wrong.element);
       return wrong.input.focus();
     }
     if (this.sending) return; // a double click is one job
@@ -342,6 +372,26 @@ class Form {
       this.submit.removeAttribute("aria-disabled");
     }
   }
+}
+
+/** Whether all of a draft can be seen without what is under Research. */
+function isPlain({ methods, preset, overrides }, usual) {
+  const among = (all, value) => all.some(([one]) => one === String(value));
+  return (
+    methods.every((name) => name === usual) &&
+    among(MATTER, preset) &&
+    Object.entries(overrides).every(([path, value]) => {
+      if (path === EDGE) return among(FINENESS, value);
+      return path === "frames" || path === LANDMARKS || path.startsWith("placement.");
+    })
+  );
+}
+
+/** Choose of a list what a value is there, or else that it is none of them. */
+function choose(select, value) {
+  const known = [...select.options].some((option) => option.value === value);
+  offer(select, (one) => one !== OTHER[0] || !known);
+  select.value = known ? value : OTHER[0];
 }
 
 /** Say something with a way out of it, or nothing. */

@@ -1,6 +1,6 @@
 /** All settings in groups, closed until somebody wants them. */
 
-import { fill, h } from "../../dom.js";
+import { fill, h, reveal } from "../../dom.js";
 import { plural } from "../../format.js";
 import { Setting } from "./setting.js";
 
@@ -10,7 +10,7 @@ const ELSEWHERE = new Set(["preset"]);
 export class Settings {
   /**
    * @param {Array<object>} abouts as `settings` of schema.js makes them
-   * @param {Record<string, string>} main titles of the settings that stand outside, by path
+   * @param {Record<string, string>} main titles of the settings that stand outside, by path; `main` has their fields
    * @param {(path: string, value: any) => void} changed hears a value, undefined for the preset's
    */
   constructor(abouts, main, changed) {
@@ -25,7 +25,7 @@ export class Settings {
       if (!groups.has(about.group)) groups.set(about.group, { meaning: about.groupMeaning, fields: [] });
       groups.get(about.group).fields.push(field);
     }
-    this.main = Object.keys(main).map((path) => this.fields.get(path).element);
+    this.main = Object.fromEntries(Object.keys(main).map((path) => [path, this.fields.get(path).element]));
     this.groups = [...groups].map(([name, group]) => ({ ...group, element: section(name, group) }));
     this.count = h("span", { class: "quiet small" });
     this.nothing = h("p", { class: "quiet", hidden: true }, "No setting is called that.");
@@ -97,7 +97,7 @@ export class Settings {
       first ??= field;
     }
     if (!first) return false;
-    if (this.element.contains(first.element)) this.element.open = true;
+    reveal(first.element);
     first.input.focus();
     return true;
   }

@@ -1,0 +1,91 @@
+"""The named looks: the page's pictures beside those of `morph render`."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+from morph_engine.rendering.materials import MATERIALS
+from morph_engine.rendering.pictures import Camera, look, picture
+from tests.color_difference import differences
+
+pytestmark = pytest.mark.browser
+
+SIZE = 480
+CELLS = 24
+"""Pictures are compared as so many cells along a side, from edge to edge of the shape."""
+
+
+@pytest.fixture(scope="module")
+def sculpture(service) -> str:
+    """A job with a surface that has bulges and creases."""
+    job = service.submit(target={"shape": "torus"}, frames=2, method="dco")
+    service.wait_for(job, "succeeded", seconds=400)
+    return job
+
+
+def cells(shot: Image.Image, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean colours of cells of the box around a shape, and which of them it fills."""
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    box = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1)
+    small = shot.convert("RGB").crop(box).resize((CELLS, CELLS), Image.Resampling.BOX)
+    cover = (
+        Image.fromarray(np.uint8(255 * inside)).crop(box).resize(small.size, Image.Resampling.BOX)
+    )
+    return np.asarray(small), np.asarray(cover) > 253
+
+
+def shown(page: Page, job: str, name: str) -> Image.Image:
+    """The page's finest picture from the front, without what floats over it."""
+    page.goto(f"/jobs/{job}?frame=2&quality=full&look={name}")
+    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    page.keyboard.press("1")
+    frame = page.locator(".scene-frame")
+    frame.evaluate("frame => { frame.style.zIndex = 9; }")
+    page.wait_for_timeout(500)
+    expect(frame.locator("canvas")).not_to_have_attribute("aria-busy", "true", timeout=120_000)
+    return Image.open(io.BytesIO(frame.screenshot()))
+
+
+@pytest.fixture(scope="module")
+def surface(service, sculpture) -> trimesh.Trimesh:
+    """That of the last frame [grid units]."""
+    answer = service.call("GET", f"/v1/jobs/{sculpture}/frames/1/surface?format=ply&units=grid")
+    return trimesh.load(io.BytesIO(answer.content), file_type="ply", process=False)
+
+
+@pytest.fixture
+def silhouette(page, sculpture) -> np.ndarray:
+    """Where the shape is in the page's pictures: clay is redder than all around it."""
+    rgb = np.asarray(shown(page, sculpture, "clay").convert("RGB"), np.float64)
+    return rgb[..., 0] - rgb[..., 2] > 20
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_look_is_the_same_in_the_page_and_on_the_command_line(
+    page, sculpture, surface, silhouette, name
+):
+    """CIE 1976 difference of the mean colours below 8, and of cells below 18 on the average.
+
+    Reflections differ in their places: the page has a room of boxes and an eye at a distance.
+    """
+    seen = shown(page, sculpture, name)
+    behind = np.asarray(seen.convert("RGB"))[5, seen.width // 2] / 255
+    drawn = partial(
+        picture, surface.vertices, spacing=1.0, faces=np.asarray(surface.faces, np.int32),
+        view=Camera.facing(surface.vertices, look(azimuth=0, elevation=0), (SIZE, SIZE)),
+        size=(SIZE, SIZE), material=name,
+    )  # fmt: skip
+    outline = drawn(material="clay", background=None)[..., 3] > 127
+    here, full = cells(seen, silhouette)
+    there, also_full = cells(Image.fromarray(drawn(background=tuple(behind))), outline)
+    both = full & also_full
+    assert np.count_nonzero(both) > CELLS**2 / 3
+    assert differences(here[both].mean(axis=0), there[both].mean(axis=0)) < 8
+    assert differences(here[both], there[both]).mean() < 18
