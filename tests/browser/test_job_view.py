@@ -384,7 +384,7 @@ def test_what_is_nearer_or_farther_is_blurred_if_one_wants_it(opened):
     assert edges(shallow) < 0.8 * edges(sharp)
     assert ImageStat.Stat(shallow).mean == pytest.approx(ImageStat.Stat(sharp).mean, abs=1.5)
     opened.get_by_label("Focus").select_option("All sharp")
-    until(lambda: picture(opened) == sharp, "What was blurred stays so.")
+    until(lambda: edges(picture(opened)) > 0.95 * edges(sharp), "What was blurred stays so.")
 
 
 def test_the_page_says_how_finely_it_draws(page, done):
