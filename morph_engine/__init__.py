@@ -1,12 +1,13 @@
 """Morph one 3D shape into another by physics, and measure honestly how well.
 
     >>> from morph_engine import configure, morph
-    >>> config = configure("fast", {"frames": 3, "sampling.points_per_cell_edge": 2})
+    >>> config = configure("fast", {"frames": 4, "sampling.points_per_cell_edge": 2})
     >>> for frame in morph("sphere", "star", config):
     ...     print(f"frame {frame.index}: {frame.metrics['two_sided']:.1f} dx from the target")
-    frame 0: 1.0 dx from the target
-    frame 1: 0.4 dx from the target
+    frame 0: 1.2 dx from the target
+    frame 1: 0.7 dx from the target
     frame 2: 0.4 dx from the target
+    frame 3: 0.4 dx from the target
 
 Names are imported when they are first used, and Taichi when a run starts.
 """

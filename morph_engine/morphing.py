@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -370,25 +371,70 @@ def _frames_of_leg(
         method = kind(leg.problem())
     on_stage("computing")
     with span("computing", leg=leg.index):
-        yield from _computed_frames(leg, method, threads, spool, checkpoint)
+        stopping = EarlyStopping(leg.record.config)
+        begin, before = 0, leg.record.source_points
+        if spool and checkpoint:
+            method.restore(checkpoint.arrays)
+            stopping.restore(checkpoint.scalars)
+            yield from _stored_frames(spool)
+            begin = checkpoint.frame + 1 - leg.first
+            before = spool.positions(checkpoint.frame)
+        frames = _computed_frames(leg, method, threads, stopping, begin, before)
+        if not spool:
+            yield from frames
+            return
+        states = ((frame, _copied(method.state()), stopping.state()) for frame in frames)
+        yield from _written_frames(states, spool)
+
+
+def _written_frames(
+    states: Iterator[tuple[Frame, dict[str, NDArray[Any]], dict[str, Any]]], spool: Spool
+) -> Iterator[Frame]:
+    """Frames with the states after them, each written while the next one is computed.
+
+    Nobody waits for the first one longer than it takes.
+    """
+
+    def write(frame: Frame, arrays: dict[str, NDArray[Any]], scalars: dict[str, Any]) -> Frame:
+        documents = [event.document() for event in frame.events]
+        spool.append(
+            frame.index, frame.positions, frame.metrics, documents, frame.det_f, leg=frame.leg
+        )
+        spool.save_checkpoint(frame.index, arrays, scalars)
+        return frame
+
+    with ThreadPoolExecutor(1, "writing") as writer:
+        if first := next(states, None):
+            yield write(*first)
+        written: Future[Frame] | None = None
+        try:
+            for state in states:
+                if written:
+                    yield written.result()
+                written = writer.submit(write, *state)
+        except SimulationError:
+            if written:
+                yield written.result()
+            raise
+        if written:
+            yield written.result()
+
+
+def _copied(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Arrays that stay as they are while the method goes on."""
+    return {name: np.array(array) for name, array in arrays.items()}
 
 
 def _computed_frames(
     leg: _Leg,
     method: Method[Any],
     threads: int,
-    spool: Spool | None,
-    checkpoint: Checkpoint | None,
+    stopping: EarlyStopping,
+    begin: int,
+    before: NDArray[np.float32],
 ) -> Iterator[Frame]:
+    """The frames of a leg from one on, given the positions before it [dx]."""
     record, config = leg.record, leg.record.config
-    stopping = EarlyStopping(config)
-    begin, before = 0, record.source_points
-    if spool and checkpoint:
-        method.restore(checkpoint.arrays)
-        stopping.restore(checkpoint.scalars)
-        yield from _stored_frames(spool)
-        begin = checkpoint.frame + 1 - leg.first
-        before = spool.positions(checkpoint.frame)
     for index in range(begin, config.frames):
         if stopping.stopped:
             return
@@ -417,12 +463,6 @@ def _computed_frames(
                 det_f=_det_f(outcome),
                 leg=leg.index,
             )
-            if spool:
-                documents = [event.document() for event in events]
-                spool.append(
-                    frame.index, frame.positions, metrics, documents, frame.det_f, leg=leg.index
-                )
-                spool.save_checkpoint(frame.index, method.state(), stopping.state())
         yield frame
 
 

@@ -3,6 +3,7 @@ from .body import Body as Body
 from .body import BodyPath as BodyPath
 from .body import fine_axis as fine_axis
 from .contact import LayerArrays as LayerArrays
+from .contact import Levels as Levels
 from .contact import layer_arrays as layer_arrays
 from .contact import prepare as prepare
 from .correspondence import Controls as Controls

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from morph_engine.flow.carrier import FAR, REFINEMENT, Carrier
+from morph_engine.flow.carrier import REFINEMENT, Carrier
 from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.flow.warp import Warp
@@ -57,8 +57,8 @@ class Body:
     """One state of the body.
 
     Attributes:
-        level: Signed distance to its surface on the fine lattice [dx], shape [m, m, m]: to first
-            order near the surface, and to the nearest node inside from farther out.
+        level: Signed distance to its surface on a box of the fine lattice [dx], shape [m, n, k]: to
+            first order near the surface, and to the nearest node inside from farther out.
         mass: What a node shall hold, over what a node deep inside holds at the source's density,
             shape [r, r, r].
         box: The nodes that shall hold any.
@@ -86,6 +86,11 @@ class BodyPath:
         matter: All mass, over what a node deep inside holds at the source's density.
         tension: T, width of the smoothing half-way [dx].
         warp: What carries the distances, if anything does.
+
+    Attributes:
+        carried: Whether anything does.
+        corner: The lowest point of the fine lattice that bodies have a level at, shape [3].
+        size: Points that they have levels at along each axis, shape [3].
     """
 
     def __init__(
@@ -105,18 +110,19 @@ class BodyPath:
         self._grid = grid
         self._matter = matter
         self.carried: bool = warp is not None
-        self._box: Box
         self._blended: Callable[[float], Field]
         if warp:
-            self._box = (slice(None),) * 3
+            box: Box = tuple(slice(0, along) for along in source.shape)
             ends = [compressed(distance, reach) for distance in (source, target)]
             self._blended = _carried(Carrier(warp, ends, grid), tension / self._step)
         else:
-            self._box = _bounding_box(np.minimum(source, target) < 0, margin=4)
-            first, last = (np.ascontiguousarray(end[self._box]) for end in (source, target))
+            box = _bounding_box(np.minimum(source, target) < 0, margin=4)
+            first, last = (np.ascontiguousarray(end[box]) for end in (source, target))
             blend = Blend(first, last, self._step, reach=reach, tension=tension)
             shares = _even_shares(blend.coarser())
             self._blended = lambda share: blend.at(_interpolated(shares, share))
+        self.corner: NDArray[np.int64] = np.array([along.start for along in box])
+        self.size: NDArray[np.int64] = np.array([along.stop - along.start for along in box])
 
     @property
     def volumes(self) -> tuple[float, float]:
@@ -130,9 +136,7 @@ class BodyPath:
         if 0 < share < 1:
             level = self._without_pieces(self._without_threads(self._as_distance(level)))
         level = self._leading_back(level)
-        whole = np.full((REFINEMENT * (self._grid.resolution - 1) + 1,) * 3, FAR, np.float32)
-        whole[self._box] = level
-        return Body(whole, *self._mass(*self._smoothed(whole)))
+        return Body(level, *self._mass(*self._smoothed(level)))
 
     def _as_distance(self, level: Field) -> Field:
         """Divide the level by its slope."""
@@ -143,7 +147,7 @@ class BodyPath:
     def _without_threads(self, level: Field) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
         indicator, box = self._smoothed(level)
-        kept = scipy.ndimage.binary_dilation(indicator > THREAD, iterations=REFINEMENT + 1)
+        kept = _dilated(indicator > THREAD, REFINEMENT + 1)
         level[box] = np.where(kept, level[box], np.maximum(level[box], self._step))
         return level
 
@@ -165,8 +169,7 @@ class BodyPath:
         Blended levels have local minima outside, where particles left behind would stay.
         """
         outside = level[::REFINEMENT, ::REFINEMENT, ::REFINEMENT] >= 0
-        distance = scipy.ndimage.distance_transform_edt(outside).astype(np.float32)
-        cells = refined(distance)
+        cells = refined(_distance_to_others(outside))
         dx = np.float32(self._grid.dx)
         far = (cells > 1.5) & (level > 0)
         return np.where(far, dx * cells, np.minimum(level, 1.5 * dx))
@@ -183,7 +186,8 @@ class BodyPath:
         """The matter at nodes, all of it, and the nodes that have it."""
         mass = np.zeros((self._grid.resolution,) * 3, np.float32)
         nodes = indicator[::REFINEMENT, ::REFINEMENT, ::REFINEMENT]
-        low = np.array([along.start // REFINEMENT for along in box])
+        inner = [along.start // REFINEMENT for along in box]
+        low = self.corner // REFINEMENT + inner
         held = NodeBox(low, low + nodes.shape)
         mass[tuple(map(slice, held.low, held.high))] = nodes
         return mass * np.float32(self._matter / mass.sum(dtype=np.float64)), held
@@ -228,6 +232,28 @@ def refined(field: Field) -> Field:
         finer[1::2] = (coarse[:-1] + coarse[1:]) / 2
         finer = np.moveaxis(finer, 0, axis)
     return finer.astype(np.float32)
+
+
+def _dilated(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """The points from which a marked one is at most so many lattice steps away."""
+    for _ in range(times):
+        wider = mask.copy()
+        for axis in range(3):
+            here, there = np.moveaxis(mask, axis, 0), np.moveaxis(wider, axis, 0)
+            there[1:] |= here[:-1]
+            there[:-1] |= here[1:]
+        mask = wider
+    return mask
+
+
+def _distance_to_others(mask: NDArray[np.bool_]) -> Field:
+    """How far each marked point is from the nearest one that is not [lattice steps]."""
+    nearest: NDArray[np.int32] = scipy.ndimage.distance_transform_edt(
+        mask, return_distances=False, return_indices=True
+    )
+    nearest -= np.indices(mask.shape, np.int32)
+    np.square(nearest, out=nearest)
+    return np.sqrt(nearest.sum(axis=0, dtype=np.int32)).astype(np.float32)
 
 
 def _piece_count(distance: Field) -> int:

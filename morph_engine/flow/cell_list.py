@@ -1,4 +1,7 @@
-"""Particles listed by the cell that they are in, so that those near a place are found."""
+"""Particles listed by the cell that they are in, so that those near a place are found.
+
+The cells are those of the least box that holds all particles.
+"""
 
 import math
 from typing import Any
@@ -7,6 +10,7 @@ import taichi as ti
 
 from morph_engine import backend
 from morph_engine.mpm.grid import Grid
+from morph_engine.unfilled_arrays import unfilled
 
 LANES = 8
 """Particles that a kernel looks at in one go: float32 numbers in a vector register of AVX."""
@@ -23,9 +27,9 @@ class CellList:
         edge: Edge of a cell [dx].
 
     Attributes:
-        origin: Lowest coordinate along every axis [dx].
+        origin: Lowest coordinate along every axis of the grid [dx].
         edge: Edge of a cell [dx].
-        per_axis: Cells along each axis.
+        box: The lowest cell of the box, counted from the origin, and its cells along each axis.
         first: Where the particles of each cell begin in `order`, z fastest, and where they end.
         order: Particles cell by cell.
         columns: Their x, y and z in this order, each followed by LANES numbers without a meaning
@@ -36,22 +40,34 @@ class CellList:
         device = backend.active()
         self.origin: float = grid.origin
         self.edge: float = edge
-        self.per_axis: int = math.ceil((grid.resolution - 1) * grid.dx / edge)
-        self.first: Any = device.integers(self.per_axis**3 + 1)
+        self.box: Any = device.integers(6)
+        self._per_axis = math.ceil((grid.resolution - 1) * grid.dx / edge)
+        with unfilled():
+            self.first: Any = device.integers(self._per_axis**3 + 1)
         self.order: Any = device.integers(count)
         self.columns: list[Any] = [device.scalars(count + LANES) for _ in range(3)]
         self._cell = device.integers(count)
 
     def build(self, x: Any) -> None:
         """List particles at x [dx], device array, shape [count, 3]."""
-        _list_cells(x, self.first, self._cell, self.order, self.origin, self.edge, self.per_axis)
+        _list_cells(
+            x, self.box, self.first, self._cell, self.order,
+            self.origin, self.edge, self._per_axis,
+        )  # fmt: skip
         _fill_columns(x, self.order, *self.columns)
 
 
 @ti.func
-def cell_of(position, origin: float, edge: float, cells: int):
-    """Cell of a position along each axis."""
-    return ti.math.clamp(ti.floor((position - origin) / edge, int), 0, cells - 1)
+def cell_of(position, box: ti.template(), origin: float, edge: float):
+    """Cell of the box that is nearest to a position, along each axis."""
+    cell, low = ti.floor((position - origin) / edge, int), ti.Vector([box[0], box[1], box[2]])
+    return ti.math.clamp(cell - low, 0, ti.Vector([box[3], box[4], box[5]]) - 1)
+
+
+@ti.func
+def column_of(i: int, j: int, box: ti.template()):
+    """The first cell of a column along z, of which the cells follow one another."""
+    return (i * box[4] + j) * box[5]
 
 
 @ti.func
@@ -96,6 +112,7 @@ def _fill_columns(
 @ti.kernel
 def _list_cells(
     x: ti.types.ndarray(),
+    box: ti.types.ndarray(),
     first: ti.types.ndarray(),
     cell: ti.types.ndarray(),
     order: ti.types.ndarray(),
@@ -106,14 +123,22 @@ def _list_cells(
     """List particles cell by cell: a counting sort, serial."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for c in range(first.shape[0]):
+        low, high = x[0], x[0]
+        for p in range(x.shape[0]):
+            low, high = ti.min(low, x[p]), ti.max(high, x[p])
+        lowest = ti.math.clamp(ti.floor((low - origin) / edge, int), 0, cells - 1)
+        highest = ti.math.clamp(ti.floor((high - origin) / edge, int), 0, cells - 1)
+        for axis in ti.static(range(3)):
+            box[axis], box[3 + axis] = lowest[axis], highest[axis] - lowest[axis] + 1
+        count = box[3] * box[4] * box[5]
+        for c in range(count + 1):
             first[c] = 0
         for p in range(x.shape[0]):
-            at = cell_of(x[p], origin, edge, cells)
-            cell[p] = (at.x * cells + at.y) * cells + at.z
+            at = cell_of(x[p], box, origin, edge)
+            cell[p] = column_of(at.x, at.y, box) + at.z
             first[cell[p]] += 1
         total = 0
-        for c in range(first.shape[0]):
+        for c in range(count + 1):
             total += first[c]
             first[c] = total
         for q in range(x.shape[0]):

@@ -15,6 +15,10 @@ SMALLEST = 1e-12
 LayerArrays: Any = ti.types.argpack(**dict.fromkeys(("x", "v", "C", "F"), ti.types.ndarray()))
 """Positions, velocities, affine velocities and deformation gradients of particles."""
 
+Levels: Any = ti.types.argpack(**dict.fromkeys(("now", "then", "box"), ti.types.ndarray()))
+"""Levels of two states of the body [dx], on a box of its fine lattice: the lowest point of it, and
+its points along each axis."""
+
 DEEPEST = 0.3
 """What the surface presses a particle back in a time step, at most [cells]; less where a frame has
 so many steps that a particle would be thrown."""
@@ -26,23 +30,18 @@ def layer_arrays(layer: Layer) -> Any:
 
 
 @ti.func
-def level_and_gradient(
-    level: ti.template(),
-    next_level: ti.template(),
-    share: float,
-    position,
-    grid: ti.template(),
-):
+def level_and_gradient(levels: ti.template(), share: float, position, grid: ti.template()):
     """Trilinear interpolation of the level between two states of the body, and its gradient."""
     step = ti.static(grid.dx / REFINEMENT)
-    count = ti.static(REFINEMENT * (grid.resolution - 1) + 1)
-    along = ti.math.clamp((position - grid.origin) / step, 0.0, count - 1.001)
+    low = ti.Vector([levels.box[0], levels.box[1], levels.box[2]])
+    size = ti.Vector([levels.box[3], levels.box[4], levels.box[5]])
+    along = ti.math.clamp((position - grid.origin) / step - low, 0.0, size - 1.001)
     corner = ti.floor(along, int)
     f = along - corner
     value, gradient = 0.0, ti.Vector.zero(float, 3)
     for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
-        at = ((corner.x + i) * count + corner.y + j) * count + corner.z + k
-        phi = (1 - share) * level[at] + share * next_level[at]
+        at = ((corner.x + i) * size.y + corner.y + j) * size.z + corner.z + k
+        phi = (1 - share) * levels.now[at] + share * levels.then[at]
         x = f.x if ti.static(i == 1) else 1 - f.x
         y = f.y if ti.static(j == 1) else 1 - f.y
         z = f.z if ti.static(k == 1) else 1 - f.z
@@ -72,8 +71,7 @@ def prepare(
     layer: LayerArrays,
     volume_ratio: ti.types.ndarray(),
     guidance: ti.types.ndarray(),
-    level: ti.types.ndarray(),
-    next_level: ti.types.ndarray(),
+    levels: Levels,
     share: float,
     depth: float,
     firmness: float,
@@ -90,11 +88,11 @@ def prepare(
     """
     for p in range(layer.x.shape[0]):
         velocity = momentum * layer.v[p] + (1 - momentum) * guidance[p]
-        phi, gradient = level_and_gradient(level, next_level, share, layer.x[p], grid)
-        slope = gradient.norm()
-        deepest = ti.min(4 * firmness, 1.0) * DEEPEST * grid.dx
-        excess = ti.min(firmness * (phi + depth) / ti.max(slope, 0.1), deepest)
-        if excess > 0:
+        phi, gradient = level_and_gradient(levels, share, layer.x[p], grid)
+        if phi > -depth:
+            slope = gradient.norm()
+            deepest = ti.min(4 * firmness, 1.0) * DEEPEST * grid.dx
+            excess = ti.min(firmness * (phi + depth) / ti.max(slope, 0.1), deepest)
             velocity -= (excess / dt / ti.max(slope, SMALLEST)) * gradient
         layer.v[p] = velocity
         layer.C[p] *= momentum

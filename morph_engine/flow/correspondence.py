@@ -44,6 +44,9 @@ ITERATIONS = 60
 NODE_EDGE = 2.0
 """Edge of the cells whose points are represented by one node of the geodesic graph [h]."""
 
+MOST_POINTS = 100_000
+"""The graph of a shape with more points than this is as coarse as that of one with so many."""
+
 GRAPH_REACH = 4.2
 """Nodes closer than this are neighbours [h]."""
 
@@ -117,8 +120,9 @@ def sample_controls(
             the shape have their geodesic distances.
         count: Controls beside the landmarks.
     """
-    nodes = _one_per_cell(points, NODE_EDGE * spacing)
-    pairs = cKDTree(nodes).query_pairs(GRAPH_REACH * spacing, output_type="ndarray")
+    coarser = max(1.0, len(points) / MOST_POINTS) ** (1 / 3)
+    nodes = _one_per_cell(points, NODE_EDGE * coarser * spacing)
+    pairs = cKDTree(nodes).query_pairs(GRAPH_REACH * coarser * spacing, output_type="ndarray")
     lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
     graph = scipy.sparse.csr_array((lengths, pairs.T), shape=(len(nodes), len(nodes)))
     chosen = farthest_points(nodes, count)

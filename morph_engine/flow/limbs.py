@@ -81,19 +81,28 @@ def waiting(source: Field, target: Field, first: Field, last: Field, step: float
 
 
 def _in_turn(turn: Field, inside: Mask, core: Mask, delay: float) -> Field:
-    """T of the points inside, infinite where the core is not reached; `delay` is of one step."""
-    infinite, later = np.float32(np.inf), np.float32(delay)
-    turn = np.where(inside, turn, infinite)
-    reached = np.where(core, turn, infinite)
-    while True:
-        before = reached.copy()
-        for axis in range(3):
-            here, there = np.moveaxis(reached, axis, 0), np.moveaxis(before, axis, 0)
-            np.minimum(here[1:], there[:-1] + later, out=here[1:])
-            np.minimum(here[:-1], there[1:] + later, out=here[:-1])
-        np.maximum(reached, turn, out=reached)
-        if np.array_equal(reached, before):
-            return reached
+    """T of the points inside, infinite where the core is not reached; `delay` is of one step.
+
+    Only neighbours of points whose T has changed are looked at.
+    """
+    infinite = np.float32(np.inf)
+    turn = np.pad(np.where(inside, turn, infinite), 1, constant_values=infinite)
+    reached = np.where(np.pad(core, 1), turn, infinite)
+    turn_of, reached_at = turn.ravel(), reached.ravel()
+    steps = [np.intp(stride // reached.itemsize) for stride in reached.strides]
+    changed = np.flatnonzero(np.isfinite(reached_at))
+    while len(changed):
+        later = reached_at[changed] + np.float32(delay)
+        nearer = []
+        for step in (*steps, *np.negative(steps)):
+            there = changed + step
+            proposed = np.maximum(later, turn_of[there])
+            sooner = proposed < reached_at[there]
+            there = there[sooner]
+            reached_at[there] = proposed[sooner]
+            nearer.append(there)
+        changed = np.unique(np.concatenate(nearer))
+    return reached[1:-1, 1:-1, 1:-1]
 
 
 def _largest_piece(mask: Mask) -> Mask:

@@ -16,6 +16,7 @@ import numpy as np
 import taichi as ti
 
 from morph_engine import backend
+from morph_engine.unfilled_arrays import unfilled
 
 SMALLEST_SHARED_CPU = 40
 SMALLEST_SHARED_GPU = 11
@@ -24,17 +25,21 @@ SMALLEST_SHARED_GPU = 11
 SELF_WEIGHT = 1e-5
 """Of a row with itself, which makes a solution unique where no wall holds the pressure."""
 
+MARKED = -2
+"""Index of a node that shall have a row."""
+
 System: Any = ti.types.argpack(
-    **dict.fromkeys(("index", "node", "parent", "odd"), ti.types.ndarray()),
+    **dict.fromkeys(("index", "node", "line", "parent", "odd"), ti.types.ndarray()),
     **dict.fromkeys(("counts", "first", "per_axis"), ti.types.ndarray()),
     **dict.fromkeys(("neighbors", "weights", "children"), ti.types.ndarray()),
     **dict.fromkeys(("self_weight", "diagonal", "r", "z"), ti.types.ndarray()),
 )
-"""All levels one after the other. Of nodes: their row, or -1. Of rows: the node, the coarser row
-that stands for it, 1 where the sum of its coordinates is odd. Of levels: how many rows they have,
-where their nodes and rows begin, nodes per axis. Of rows: six neighbours (itself where there is
-none), the weights of the faces, eight finer rows or -1, the weight with itself, the diagonal,
-right-hand side and solution."""
+"""All levels one after the other. Of nodes: their row, or -1. Of lines of nodes, at one level after
+the other: where their rows begin. Of rows: the node, the coarser row that stands for it, 1 where
+the sum of its coordinates is odd. Of levels: how many rows they have, where their nodes and rows
+begin, nodes per axis. Of rows: six neighbours (itself where there is none), the weights of the
+faces, eight finer rows or -1, the weight with itself, the diagonal, right-hand side and
+solution."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +81,19 @@ def levels_of(resolution: int) -> Levels:
 def new_system(levels: Levels) -> Any:
     """Arrays of a system without rows."""
     device, n = backend.active(), levels.size
+    with unfilled():  # few nodes have rows
+        rows = {
+            **{name: device.integers(n) for name in ("node", "parent", "odd")},
+            **{name: device.scalars(n) for name in ("self_weight", "diagonal", "r", "z")},
+            "neighbors": device.integer_vectors(n, 6),
+            "weights": device.vectors(n, 6),
+            "children": device.integer_vectors(n, 8),
+        }
     system = System(
-        **{name: device.integers(n) for name in ("index", "node", "parent", "odd")},
+        **rows,
         **{name: device.integers(levels.count) for name in ("counts", "first", "per_axis")},
-        neighbors=device.integer_vectors(n, 6),
-        weights=device.vectors(n, 6),
-        children=device.integer_vectors(n, 8),
-        **{name: device.scalars(n) for name in ("self_weight", "diagonal", "r", "z")},
+        index=device.integers(n),
+        line=device.integers(levels.resolutions[0] ** 2),
     )
     system.first.from_numpy(np.array(levels.offsets, np.int32))
     system.per_axis.from_numpy(np.array(levels.resolutions, np.int32))
@@ -91,20 +102,58 @@ def new_system(levels: Levels) -> Any:
 
 
 @ti.func
+def place_lines(system: ti.template(), first: int, lines: int):
+    """Where each line of nodes has its rows, given how many; returns one past the last: serial."""
+    row = first
+    for k in range(lines):
+        count = system.line[k]
+        system.line[k] = row
+        row += count
+    return row
+
+
+@ti.func
 def list_coarse_rows(system: ti.template(), levels: ti.template()):
-    """List the rows of the coarser levels from those of the finest, in their order: serial."""
-    for level in range(1, levels.count):
-        fine, coarse = system.first[level - 1], system.first[level]
-        for k in range(system.counts[level]):  # those of the step before
-            system.index[system.node[coarse + k]] = -1
-        found = 0
+    """List the rows of the coarser levels from those of the finest, in the order of their nodes.
+
+    Those that threads share out mark their nodes first; the others are one serial task.
+    """
+    for level in ti.static(range(1, levels.shared + 1)):
+        fine, coarse = ti.static(levels.offsets[level - 1], levels.offsets[level])
+        n, m = ti.static(levels.resolutions[level - 1], levels.resolutions[level])
+        for row in range(coarse, coarse + system.counts[level]):  # those of the step before
+            system.index[system.node[row]] = -1
         for row in range(fine, fine + system.counts[level - 1]):
-            cell = parent_of(row, fine, coarse, system.per_axis[level - 1], system)
-            if system.index[cell] < 0:
-                system.index[cell] = coarse + found
-                system.node[coarse + found] = cell
-                found += 1
-        system.counts[level] = found
+            system.index[parent_of(row, fine, coarse, n, system)] = MARKED
+        for line in range(m * m):
+            found = 0
+            for i in range(coarse + line * m, coarse + line * m + m):
+                found += int(system.index[i] == MARKED)
+            system.line[line] = found
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            system.counts[level] = place_lines(system, coarse, m * m) - coarse
+        for line in range(m * m):
+            row = system.line[line]
+            for i in range(coarse + line * m, coarse + line * m + m):
+                if system.index[i] == MARKED:
+                    system.index[i] = row
+                    system.node[row] = i
+                    row += 1
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for level in range(levels.shared + 1, levels.count):
+            fine, coarse = system.first[level - 1], system.first[level]
+            for row in range(coarse, coarse + system.counts[level]):
+                system.index[system.node[row]] = -1
+            found = 0
+            for row in range(fine, fine + system.counts[level - 1]):
+                cell = parent_of(row, fine, coarse, system.per_axis[level - 1], system)
+                if system.index[cell] < 0:
+                    system.index[cell] = coarse + found
+                    system.node[coarse + found] = cell
+                    found += 1
+            system.counts[level] = found
 
 
 @ti.func

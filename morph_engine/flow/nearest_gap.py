@@ -8,7 +8,7 @@ from typing import Any
 import taichi as ti
 
 from morph_engine import backend
-from morph_engine.flow.cell_list import LANES, CellList, cell_of, load_lanes
+from morph_engine.flow.cell_list import LANES, CellList, cell_of, column_of, load_lanes
 
 FAR = 1e30
 
@@ -34,8 +34,8 @@ class NearestGap:
         cells = self._cells
         cells.build(x)
         find_gaps(
-            x, self._gap, cells.first, *cells.columns,
-            cells.origin, cells.edge, cells.per_axis, bound,
+            x, self._gap, cells.box, cells.first, *cells.columns,
+            cells.origin, cells.edge, bound,
         )  # fmt: skip
         return self._gap
 
@@ -44,23 +44,23 @@ class NearestGap:
 def find_gaps(
     x: ti.types.ndarray(),
     gap: ti.types.ndarray(),
+    box: ti.types.ndarray(),
     first: ti.types.ndarray(),
     x_column: ti.types.ndarray(),
     y_column: ti.types.ndarray(),
     z_column: ti.types.ndarray(),
     origin: float,
     edge: float,
-    cells: int,
     bound: float,
 ):
     """A particle finds itself, at the distance 0: whoever else is there makes its gap 0."""
     for p in range(x.shape[0]):
-        low = cell_of(x[p] - bound, origin, edge, cells)
-        high = cell_of(x[p] + bound, origin, edge, cells)
+        low = cell_of(x[p] - bound, box, origin, edge)
+        high = cell_of(x[p] + bound, box, origin, edge)
         least, here = bound * bound, 0
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
-                row = (i * cells + j) * cells
+                row = column_of(i, j, box)
                 begin, end = first[row + low.z], first[row + high.z + 1]
                 for group in range((end - begin + LANES - 1) // LANES):
                     slot = begin + group * LANES

@@ -27,11 +27,13 @@ from morph_engine.flow.multigrid import (
     levels_of,
     list_coarse_rows,
     new_system,
+    place_lines,
     smooth_even,
     v_cycle,
 )
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.mpm.grid import Grid, is_inside
+from morph_engine.unfilled_arrays import unfilled
 
 LEAST_FILLED = 0.05
 """Nodes that are to be filled less take no part; matter there is led back by the surface alone."""
@@ -81,11 +83,14 @@ class Projection:
         self._stride = CPU_CHUNK_STRIDE if device.on_cpu else 1
         self._levels = levels_of(grid.resolution)
         self._system = new_system(self._levels)
+        with unfilled():
+            rows = {name: device.scalars(n) for name in ("filled", "x", "p", "q")}
         self._vectors: Any = Vectors(
+            **rows,
+            potential=device.scalars(n),
             body=device.integers(6),
             reach=device.integers(6),
             partial=device.vectors(self._chunks, 4),
-            **{name: device.scalars(n) for name in ("potential", "filled", "x", "p", "q")},
         )
         whole = NodeBox.whole(grid.resolution)
         self.look_at(whole, whole)
@@ -155,6 +160,15 @@ def wanted(mass: ti.template(), next_mass: ti.template(), share: float, i: int):
 
 
 @ti.func
+def most_wanted(
+    mass: ti.template(), next_mass: ti.template(), share: float, next_share: float, i: int
+):
+    """The larger of what node i shall hold at two shares of the way."""
+    now = wanted(mass, next_mass, share, i)
+    return ti.max(now, wanted(mass, next_mass, next_share, i))
+
+
+@ti.func
 def line_count(box: ti.template()):
     """Number of lines of nodes along z in a box."""
     return (box[3] - box[0]) * (box[4] - box[1])
@@ -190,24 +204,33 @@ def list_rows(
     full: float,
     grid: ti.template(),
 ):
-    """List the nodes that take part, in their order, and the coarser rows: serial."""
+    """List the nodes that take part, in their order, and the coarser rows.
+
+    Every line counts its own, from which follows where each has its rows.
+    """
+    for k in range(system.counts[0]):
+        system.index[system.node[k]] = -1
+    for k in range(line_count(vectors.body)):
+        begin, end = line_of(k, vectors.body, grid)
+        found = 0
+        for i in range(begin, end):
+            most = most_wanted(mass, next_mass, share, next_share, i)
+            found += int(most > LEAST_FILLED and is_inside(i, grid))
+        system.line[k] = found
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for k in range(system.counts[0]):
-            system.index[system.node[k]] = -1
-        found = 0
-        for k in range(line_count(vectors.body)):
-            begin, end = line_of(k, vectors.body, grid)
-            for i in range(begin, end):
-                now = wanted(mass, next_mass, share, i)
-                most = ti.max(now, wanted(mass, next_mass, next_share, i))
-                if most > LEAST_FILLED and is_inside(i, grid):
-                    system.index[i] = found
-                    system.node[found] = i
-                    vectors.filled[found] = ti.min(ti.max(most, nodes[i].w / full), 1.0)
-                    found += 1
-        system.counts[0] = found
-        list_coarse_rows(system, levels)
+        system.counts[0] = place_lines(system, 0, line_count(vectors.body))
+    for k in range(line_count(vectors.body)):
+        begin, end = line_of(k, vectors.body, grid)
+        row = system.line[k]
+        for i in range(begin, end):
+            most = most_wanted(mass, next_mass, share, next_share, i)
+            if most > LEAST_FILLED and is_inside(i, grid):
+                system.index[i] = row
+                system.node[row] = i
+                vectors.filled[row] = ti.min(ti.max(most, nodes[i].w / full), 1.0)
+                row += 1
+    list_coarse_rows(system, levels)
 
 
 @ti.kernel

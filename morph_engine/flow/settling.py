@@ -11,8 +11,16 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.flow.cell_list import LANES, CellList, cell_of, load_lanes, sum_lanes, zero_lanes
-from morph_engine.flow.contact import SMALLEST, level_and_gradient
+from morph_engine.flow.cell_list import (
+    LANES,
+    CellList,
+    cell_of,
+    column_of,
+    load_lanes,
+    sum_lanes,
+    zero_lanes,
+)
+from morph_engine.flow.contact import SMALLEST, Levels, level_and_gradient
 from morph_engine.mpm.grid import Grid
 
 LONGEST_MOVE = 0.15
@@ -47,6 +55,7 @@ class Settling:
         self.grid: Grid = grid
         self.cells: CellList = CellList(count, grid, spacing)
         self._move = backend.active().vectors(count)
+        self._length = backend.active().scalars(count)
 
     def settle(
         self, x: Any, moved: Any, body: Any, *, distance: float, spacing: float, most: float
@@ -58,52 +67,63 @@ class Settling:
         Args:
             x: Positions [dx], shape [n, 3].
             moved: What each is moved is added to this [dx], shape [n].
-            body: Two levels and the share between them, see `level_and_gradient`.
+            body: Levels of two states and the share between them, see `level_and_gradient`.
             distance: Below which particles make room [dx].
             spacing: Lattice spacing of the particles by now [dx].
             most: What they are moved on average, at most [dx].
         """
         cells = self.cells
         cells.build(x)
-        push(
-            x, self._move, cells.first, *cells.columns, *body,
-            cells.edge, cells.per_axis, distance, spacing, self.grid,
-        )  # fmt: skip
         longest = LONGEST_MOVE * self.spacing
-        lengths = np.minimum(np.linalg.norm(self._move.to_numpy(), axis=1), longest)
-        shift(x, self._move, moved, longest, _threshold(lengths.astype(np.float64), most))
+        push(
+            x, self._move, self._length, cells.box, cells.first, *cells.columns, *body,
+            cells.edge, distance, spacing, longest, self.grid,
+        )  # fmt: skip
+        less = excess_over_mean(self._length.to_numpy().astype(np.float64), most)
+        shift(x, self._move, self._length, moved, less)
 
 
-def _threshold(lengths: NDArray[np.float64], most: float) -> float:
-    """What to take off all lengths, none of which gets negative, so that their mean is `most`."""
-    descending = np.append(-np.sort(-lengths[lengths > 0]), 0.0)
-    total = np.cumsum(descending)
-    count = np.arange(1, len(descending) + 1)
-    enough = np.flatnonzero(total - count * descending > most * len(lengths))
-    if not len(enough):
-        return 0.0
-    last = enough[0] - 1
-    return float((total[last] - most * len(lengths)) / count[last])
+def excess_over_mean(lengths: NDArray[np.float64], most: float) -> float:
+    """What to take off all lengths, none of which gets negative, so that their mean is `most`.
+
+    The mean falls with what is taken off, ever more slowly, along straight pieces: Newton's method
+    comes to its root from below in a few steps.
+
+    Args:
+        lengths: Shape [n].
+        most: What their mean may be; 0 is returned where it is not more.
+    """
+    less, longer = 0.0, lengths
+    while len(longer) and longer.sum() - len(longer) * less > most * len(lengths):
+        less = float((longer.sum() - most * len(lengths)) / len(longer))
+        still = longer[longer > less]
+        if len(still) == len(longer):
+            break
+        longer = still
+    return less
 
 
 @ti.kernel
 def push(
     x: ti.types.ndarray(),
     move: ti.types.ndarray(),
+    length: ti.types.ndarray(),
+    box: ti.types.ndarray(),
     first: ti.types.ndarray(),
     x_column: ti.types.ndarray(),
     y_column: ti.types.ndarray(),
     z_column: ti.types.ndarray(),
-    level: ti.types.ndarray(),
-    next_level: ti.types.ndarray(),
+    levels: Levels,
     share: float,
     edge: float,
-    cells: int,
     distance: float,
     spacing: float,
+    longest: float,
     grid: ti.template(),
 ):
     """How each particle makes room for those closer than `distance`, and fills gaps.
+
+    `length` is that of the move, at most `longest`.
 
     Neighbours push with w(r) = (1 - r / R)^2. Around a particle in an even fill that sums to zero;
     beside a gap it points into it, down the gradient of concentration (Lind et al. 2012). What is
@@ -114,27 +134,27 @@ def push(
     """
     for p in range(x.shape[0]):
         here, reach = x[p], REACH * spacing
-        low = cell_of(here - reach, grid.origin, edge, cells)
-        high = cell_of(here + reach, grid.origin, edge, cells)
+        low = cell_of(here - reach, box, grid.origin, edge)
+        high = cell_of(here + reach, box, grid.origin, edge)
         per_reach = 1 / reach
         apart_x, apart_y, apart_z = zero_lanes(), zero_lanes(), zero_lanes()
         uneven_x, uneven_y, uneven_z = zero_lanes(), zero_lanes(), zero_lanes()
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
-                row = (i * cells + j) * cells
+                row = column_of(i, j, box)
                 begin, end = first[row + low.z], first[row + high.z + 1]
                 for group in range((end - begin + LANES - 1) // LANES):
                     slot = begin + group * LANES
                     away_x = here.x - load_lanes(x_column, slot)
                     away_y = here.y - load_lanes(y_column, slot)
                     away_z = here.z - load_lanes(z_column, slot)
-                    length = ti.sqrt(away_x**2 + away_y**2 + away_z**2)
-                    per_length = zero_lanes()
+                    gap = ti.sqrt(away_x**2 + away_y**2 + away_z**2)
+                    per_gap = zero_lanes()
                     for lane in ti.static(range(LANES)):
                         there = slot + lane < end
-                        per_length[lane] = ti.select(there, 1 / ti.max(length[lane], SMALLEST), 0)
-                    w = ti.max(1 - per_reach * length, 0) ** 2 * per_length
-                    overlap = ti.max(distance - length, 0) * per_length
+                        per_gap[lane] = ti.select(there, 1 / ti.max(gap[lane], SMALLEST), 0)
+                    w = ti.max(1 - per_reach * gap, 0) ** 2 * per_gap
+                    overlap = ti.max(distance - gap, 0) * per_gap
                     uneven_x += w * away_x
                     uneven_y += w * away_y
                     uneven_z += w * away_z
@@ -143,26 +163,26 @@ def push(
                     apart_z += overlap * away_z
         uneven = ti.Vector([sum_lanes(uneven_x), sum_lanes(uneven_y), sum_lanes(uneven_z)])
         apart = ti.Vector([sum_lanes(apart_x), sum_lanes(apart_y), sum_lanes(apart_z)])
-        phi, gradient = level_and_gradient(level, next_level, share, here, grid)
+        phi, gradient = level_and_gradient(levels, share, here, grid)
         slope = gradient.norm()
         u = ti.math.clamp(1 + phi / (reach * ti.max(slope, 0.1)), 0.0, 1.0)
         wall = ti.static(2 * math.pi * REACH**3 / 3) * (u**4 / 4 - u**5 / 5)
         uneven -= (wall / ti.max(slope, SMALLEST)) * gradient
         beyond = ti.max(1 - UNEVEN / ti.max(uneven.norm(), SMALLEST), 0.0)
         move[p] = RELAXATION * apart + FILLING * spacing * beyond * uneven
+        length[p] = ti.min(move[p].norm(), longest)
 
 
 @ti.kernel
 def shift(
     x: ti.types.ndarray(),
     move: ti.types.ndarray(),
+    length: ti.types.ndarray(),
     moved: ti.types.ndarray(),
-    longest: float,
     less: float,
 ):
-    """Move particles by their moves, cut to `longest` and then shortened by `less`; add up."""
+    """Move particles by their moves, of such lengths but shorter by `less`; add up."""
     for p in range(x.shape[0]):
-        length = move[p].norm()
-        shorter = ti.max(ti.min(length, longest) - less, 0.0)
-        x[p] += (shorter / ti.max(length, SMALLEST)) * move[p]
+        shorter = ti.max(length[p] - less, 0.0)
+        x[p] += (shorter / ti.max(move[p].norm(), SMALLEST)) * move[p]
         moved[p] += shorter

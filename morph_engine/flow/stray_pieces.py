@@ -15,7 +15,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
-from morph_engine.flow.cell_list import LANES, CellList, cell_of, load_lanes
+from morph_engine.flow.cell_list import LANES, CellList, cell_of, column_of, load_lanes
 from morph_engine.metrics.body import piece_sizes
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
@@ -55,8 +55,11 @@ class StrayPieces:
             moved: What each particle is moved is added to this [dx], shape [n].
             spacing: Lattice spacing of the particles by now [dx].
         """
+        starts = self._with_few_links(x, LINK * spacing)
+        if not len(starts):
+            return
         positions = x.to_numpy()
-        pieces = self._find(x, positions, LINK * spacing)
+        pieces = self._find(positions, starts, LINK * spacing)
         if not pieces:
             return
         body = np.delete(positions, np.concatenate(pieces), axis=0)
@@ -72,16 +75,19 @@ class StrayPieces:
         x.from_numpy(positions)
         moved.from_numpy(lengths)
 
-    def _find(self, x: Any, positions: NDArray[Any], reach: float) -> list[NDArray[np.intp]]:
-        """The stray pieces, where particles closer than `reach` are linked [dx]."""
+    def _with_few_links(self, x: Any, reach: float) -> NDArray[np.intp]:
+        """Particles that few others are linked to, where those closer than `reach` are [dx]."""
         cells, few = self._cells, self._few
         cells.build(x)
         _mark_few_links(
-            x, few, cells.first, *cells.columns, cells.origin, cells.edge, cells.per_axis, reach
+            x, few, cells.box, cells.first, *cells.columns, cells.origin, cells.edge, reach
         )
-        starts = np.flatnonzero(few.to_numpy())
-        if not len(starts):
-            return []
+        return np.flatnonzero(few.to_numpy())
+
+    def _find(
+        self, positions: NDArray[Any], starts: NDArray[np.intp], reach: float
+    ) -> list[NDArray[np.intp]]:
+        """The stray pieces that hold one of `starts`."""
         pieces = find_small_pieces(positions, starts, reach, int(LARGEST * len(positions)))
         return [piece for piece in pieces if len(piece) <= self._largest]
 
@@ -124,22 +130,22 @@ def find_small_pieces(
 def _mark_few_links(
     x: ti.types.ndarray(),
     few: ti.types.ndarray(),
+    box: ti.types.ndarray(),
     first: ti.types.ndarray(),
     x_column: ti.types.ndarray(),
     y_column: ti.types.ndarray(),
     z_column: ti.types.ndarray(),
     origin: float,
     edge: float,
-    cells: int,
     reach: float,
 ):
     for p in range(x.shape[0]):
-        low = cell_of(x[p] - reach, origin, edge, cells)
-        high = cell_of(x[p] + reach, origin, edge, cells)
+        low = cell_of(x[p] - reach, box, origin, edge)
+        high = cell_of(x[p] + reach, box, origin, edge)
         links = -1  # to itself
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
-                row = (i * cells + j) * cells
+                row = column_of(i, j, box)
                 begin, end = first[row + low.z], first[row + high.z + 1]
                 groups = (end - begin + LANES - 1) // LANES if links <= FEW else 0
                 for group in range(groups):

@@ -34,9 +34,8 @@ def mesh_distance(mesh: Mesh, axis: NDArray[np.float64], band: float) -> NDArray
     coarse_axis = np.append(axis[:-1:COARSENING], axis[-1])
     coarse = _exact(mesh, _points(coarse_axis)).reshape((len(coarse_axis),) * 3)
     distance = coarse.astype(np.float32)
-    for _ in range(3):  # interpolates along the last axis and turns the axes on
-        distance = scipy.interpolate.interp1d(coarse_axis, distance, axis=2)(axis)
-        distance = np.moveaxis(distance.astype(np.float32), 2, 0)
+    for along in (2, 1, 0):
+        distance = _interpolated(distance, coarse_axis, axis, along)
     near = np.nonzero(np.abs(distance) < band)
     distance[near] = _exact(mesh, np.stack([axis[index] for index in near], axis=1))
     return np.ascontiguousarray(distance)
@@ -61,6 +60,23 @@ def cloud_distance(
     edt = scipy.ndimage.distance_transform_edt
     distance: NDArray[np.float64] = step * (edt(~filled) - edt(filled)) + radius / 2
     return distance.astype(np.float32)
+
+
+def _interpolated(
+    field: NDArray[np.float32],
+    coarse_axis: NDArray[np.float64],
+    axis: NDArray[np.float64],
+    along: int,
+) -> NDArray[np.float32]:
+    """A field on a finer axis, linear between the points of the coarse one."""
+    coarse = np.moveaxis(field, along, 0)
+    fine = np.empty((len(axis), *coarse.shape[1:]), np.float32)
+    cells = np.clip(np.searchsorted(coarse_axis, axis) - 1, 0, len(coarse_axis) - 2)
+    edges, beyond = np.diff(coarse_axis)[cells], axis - coarse_axis[cells]
+    for layer, cell, edge, length in zip(fine, cells, edges, beyond, strict=True):
+        slope = (coarse[cell + 1] - coarse[cell]) / edge
+        layer[:] = coarse[cell] + slope * length
+    return np.moveaxis(fine, 0, along)
 
 
 def _points(axis: NDArray[np.float64]) -> NDArray[np.float64]:

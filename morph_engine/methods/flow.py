@@ -184,7 +184,13 @@ class Flow(MpmMethod[FlowOptions]):
         self._layers = [flow.layer_arrays(layer) for layer in self._simulation.layers]
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
-        self._levels = [device.scalars(len(axis) ** 3) for _ in range(2)]
+        self._levels = [device.scalars(int(self._path.size.prod())) for _ in range(2)]
+        box = device.integers(6)
+        box.from_numpy(np.concatenate([self._path.corner, self._path.size]).astype(np.int32))
+        self._level_pairs = [
+            flow.Levels(now=now, then=then, box=box)
+            for now, then in (self._levels, self._levels[::-1])
+        ]
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._boxes = [NodeBox.whole(self._grid.resolution)] * 2
         self._moved = device.scalars(len(problem.source))
@@ -306,7 +312,7 @@ class Flow(MpmMethod[FlowOptions]):
         if self._body_frame != frame:
             self._upload_body(0, share, next_share)
         else:
-            for states in (self._levels, self._masses, self._boxes):
+            for states in (self._levels, self._level_pairs, self._masses, self._boxes):
                 states.reverse()
         self._upload_body(1, next_share, self._share(frame + 2))
         self._body_frame = frame + 1
@@ -320,10 +326,13 @@ class Flow(MpmMethod[FlowOptions]):
 
     def _reach(self, steps: int) -> NodeBox:
         """The nodes that particles may reach in a frame of so many steps."""
-        grid, x = self._simulation.grid, self._particles.x / self._edge
+        grid, x = self._simulation.grid, self._particles.x
         farthest = steps * self._simulation.largest_cells_per_step  # more is a fault
         reach = math.ceil(farthest) + grid.width
-        low, high = x.min(axis=0) - grid.origin, x.max(axis=0) - grid.origin
+        low, high = (
+            np.array([end(x[:, axis]) for axis in range(3)]) / self._edge - grid.origin
+            for end in (np.min, np.max)
+        )
         return NodeBox(
             np.floor(low).astype(np.int64) - reach, np.ceil(high).astype(np.int64) + reach
         )
@@ -355,7 +364,7 @@ class Flow(MpmMethod[FlowOptions]):
         for step in range(steps):
             part = (step + 1) / steps
             flow.prepare(
-                self._layers[0], self._volume_ratio, self._guidance, *self._levels, part,
+                self._layers[0], self._volume_ratio, self._guidance, self._level_pairs[0], part,
                 depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt,
                 simulation.grid,
             )  # fmt: skip
@@ -370,7 +379,7 @@ class Flow(MpmMethod[FlowOptions]):
             )
             now = share + part * (next_share - share)
             for rounds in range(left, left_then, -1):
-                self._settle(simulation.layers[1].x, now, (*self._levels, part), rounds)
+                self._settle(simulation.layers[1].x, now, (self._level_pairs[0], part), rounds)
             simulation.layers.reverse()
             self._layers.reverse()
             if simulation.faults:
@@ -378,7 +387,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._stray_pieces.gather(simulation.layers[0].x, self._moved, self._spacing(next_share))
         return 0
 
-    def _settle(self, x: Any, share: float, body: tuple[Any, Any, float], rounds: int) -> None:
+    def _settle(self, x: Any, share: float, body: tuple[Any, float], rounds: int) -> None:
         """Spread particles more evenly than the grid can, by at most their part of the path.
 
         What may be moved in a frame goes in equal parts to the rounds that are left in it.

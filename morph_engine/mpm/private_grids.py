@@ -12,6 +12,7 @@ import taichi as ti
 from morph_engine import backend
 from morph_engine.backend import CPU_CHUNK_COUNT, CPU_CHUNK_STRIDE
 from morph_engine.mpm.grid import Grid, base_and_offset
+from morph_engine.unfilled_arrays import unfilled
 
 
 class PrivateGrids:
@@ -28,7 +29,10 @@ class PrivateGrids:
         self.atomic: bool = not device.on_cpu
         grids = 1 if self.atomic else CPU_CHUNK_COUNT
         count = grids * grid.node_count
-        self.partial: Any = device.scalars(count) if values == 1 else device.vectors(count, values)
+        with unfilled():  # each reaches but a part of the grid
+            self.partial: Any = (
+                device.scalars(count) if values == 1 else device.vectors(count, values)
+            )
         self.touched: Any = device.integer_vectors(grids, 4)
 
 

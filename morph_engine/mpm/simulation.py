@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,12 +85,19 @@ class Simulation:
             Transition(n, grid.node_count, rotations=rotations) for _ in range(transitions)
         ]
         self.volume: Any = device.upload(rest_volume)
-        self.bar: Layer = Layer(n)
         self._private = PrivateGrids(grid)
         self._scheme = Scheme(material.model, self._private.atomic, adjoint)
-        self._nodes_bar = device.vectors(grid.node_count, 8)
         self._faults = device.integers(1)
         self._packs: dict[tuple[Any, int], Any] = {}
+
+    @cached_property
+    def bar(self) -> Layer:
+        """Gradients by the state of a layer; a run forwards alone has none."""
+        return Layer(self.particle_count)
+
+    @cached_property
+    def _nodes_bar(self) -> Any:
+        return backend.active().vectors(self.grid.node_count, 8)
 
     @property
     def last(self) -> Layer:
@@ -171,16 +179,20 @@ class Simulation:
         Packs are kept, for making one takes a tenth of a millisecond; layers and controls may have
         been exchanged since.
         """
-        here, there, bar, private = self.layers[k], self.layers[k + 1], self.bar, self._private
+        here, there, private = self.layers[k], self.layers[k + 1], self._private
         transition = self.transitions[k]
         arrays = {
             "x": here.x, "v": here.v, "C": here.C, "F": here.F,
             "x_next": there.x, "v_next": there.v, "C_next": there.C, "F_next": there.F,
-            "x_bar": bar.x, "v_bar": bar.v, "C_bar": bar.C, "F_bar": bar.F,
-            "U": transition.U, "U_bar": transition.U_bar, "R": transition.R, "volume": self.volume,
-            "nodes": transition.nodes, "nodes_bar": self._nodes_bar,
-            "partial": private.partial, "touched": private.touched,
+            "U": transition.U, "R": transition.R, "volume": self.volume,
+            "nodes": transition.nodes, "partial": private.partial, "touched": private.touched,
         }  # fmt: skip
+        if "nodes_bar" in kind.members:
+            bar = self.bar
+            arrays |= {
+                "x_bar": bar.x, "v_bar": bar.v, "C_bar": bar.C, "F_bar": bar.F,
+                "U_bar": transition.U_bar, "nodes_bar": self._nodes_bar,
+            }  # fmt: skip
         pack = self._packs.get((kind, k))
         if pack is None:
             pack = self._packs[kind, k] = kind(**{name: arrays[name] for name in kind.members})

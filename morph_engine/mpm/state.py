@@ -1,6 +1,7 @@
 """Particle state of one frame, layer by layer (algorithm 2.7)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,9 +80,13 @@ class Transition:
     def __init__(self, particle_count: int, node_count: int, *, rotations: bool) -> None:
         device = backend.active()
         self.U = device.matrices(particle_count)
-        self.U_bar: Any = device.matrices(particle_count)
         self.R = device.matrices(particle_count if rotations else 1)
         self.nodes: Any = device.vectors(node_count, 4)
+
+    @cached_property
+    def U_bar(self) -> Any:
+        """Gradient by the control; a run forwards alone has none."""
+        return backend.active().matrices(self.U.shape[0])
 
 
 @ti.kernel

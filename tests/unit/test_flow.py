@@ -15,6 +15,7 @@ from morph_engine.errors import ConfigError
 from morph_engine.flow import (
     BodyPath,
     LayerArrays,
+    Levels,
     NearestGap,
     Projection,
     Settling,
@@ -161,14 +162,29 @@ def test_the_pressure_takes_out_a_flow_through_the_surface() -> None:
     assert np.abs(nodes.to_numpy()[mass > 0.99, :3]).max() < 0.15
 
 
+def solid(path: BodyPath, share: float) -> np.ndarray:
+    """Which points of the whole fine lattice of GRID are inside the body."""
+    inside = np.zeros((len(fine_axis(GRID)),) * 3, bool)
+    box = zip(path.corner, path.corner + path.size, strict=True)
+    inside[tuple(slice(low, high) for low, high in box)] = path.at(share).level < 0
+    return inside
+
+
+def wide_body() -> Levels:
+    """Levels of a body whose surface is 5 dx away from everywhere."""
+    device, size = backend.active(), len(fine_axis(GRID))
+    deep, box = device.upload(np.full(size**3, -5.0)), device.integers(6)
+    box.from_numpy(np.array([0, 0, 0, size, size, size], np.int32))
+    return Levels(now=deep, then=deep, box=box)
+
+
 def settled(x: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
     """Particles of spacing 0.5 after one round of settling in a wide body, and what they moved."""
     backend.start("cpu", threads=2)
     device = backend.active()
     positions, moved = device.upload(np.float32(x)), device.scalars(len(x))
-    deep = device.upload(np.full(len(fine_axis(GRID)) ** 3, -5.0))
     settling = Settling(len(x), GRID, spacing=0.5)
-    settling.settle(positions, moved, (deep, deep, 0.0), distance=0.4, spacing=0.5, most=most)
+    settling.settle(positions, moved, (wide_body(), 0.0), distance=0.4, spacing=0.5, most=most)
     return positions.to_numpy(), moved.to_numpy()
 
 
@@ -298,7 +314,7 @@ def test_a_limb_goes_from_its_tip_and_none_of_it_is_cut_off() -> None:
     rod = np.maximum(np.sqrt(y**2 + z**2) - 0.9, np.abs(x - 3.5) - 3.5)
     source = np.minimum(ball, rod).astype(np.float32)
     path = BodyPath(source, ball.astype(np.float32), GRID, reach=4, matter=130, tension=1.0)
-    bodies = [path.at(share).level < 0 for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    bodies = [solid(path, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     assert all(scipy.ndimage.label(body)[1] == 1 for body in bodies)
     lengths = [x[body].max() for body in bodies]
     assert lengths == sorted(lengths, reverse=True)
@@ -317,7 +333,7 @@ def test_a_thick_end_is_not_left_by_the_thin_part_that_joins_it(growing: bool) -
     joined = np.minimum(np.minimum(ball, end), rod).astype(np.float32)
     source, target = (ball, joined) if growing else (joined, ball)
     path = BodyPath(source, target, GRID, reach=4, matter=130, tension=1.0)
-    bodies = [path.at(share).level < 0 for share in np.linspace(0, 1, 41)]
+    bodies = [solid(path, share) for share in np.linspace(0, 1, 41)]
     assert [scipy.ndimage.label(body)[1] for body in bodies] == [1] * len(bodies)
     assert sum(bool(body[x > 3].any()) for body in bodies) > 10
 
@@ -374,10 +390,9 @@ def test_strain_yields_and_changes_of_volume_are_kept_apart(kept: float) -> None
     layer |= {"C": device.matrices(1), "F": device.matrices(1)}
     layer["F"].from_numpy(F[None])
     ratio = device.upload(np.ones(1))
-    inside = device.upload(np.full(len(fine_axis(GRID)) ** 3, -5.0))
     still, share, depth, firmness, momentum, dt = device.vectors(1), 0.0, 0.1, 1.0, 0.0, 0.01
     prepare(
-        LayerArrays(**layer), ratio, still, inside, inside, share, depth, firmness, momentum, kept,
+        LayerArrays(**layer), ratio, still, wide_body(), share, depth, firmness, momentum, kept,
         dt, GRID,
     )  # fmt: skip
     J = np.linalg.det(F)
