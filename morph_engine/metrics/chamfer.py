@@ -93,7 +93,7 @@ def chamfer_metrics(
     }
     precision, recall = float(np.mean(forward < tau)), float(np.mean(reverse < tau))
     radius = COVERING_RADIUS_OVER_H * spacing if coverage_radius is None else coverage_radius
-    target_count = np.unique(nearest).size
+    target_count = np.count_nonzero(np.bincount(nearest, minlength=len(goal)))
 
     return (
         chamfer

@@ -42,7 +42,8 @@ class Particles:
 
     def permuted(self, order: NDArray[np.intp]) -> "Particles":
         """The same particles in another order."""
-        return Particles(self.x[order], self.v[order], self.C[order], self.F[order])
+        arrays = (self.x, self.v, self.C, self.F)
+        return Particles(*(np.take(array, order, axis=0) for array in arrays))
 
     def scaled(self, factor: float) -> "Particles":
         """The same particles in another unit of length, of which one dx has so many."""

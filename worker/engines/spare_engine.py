@@ -12,7 +12,7 @@ from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
 from morph_engine.machine_cores import usable_cores
 
-NEARLY_DONE = 0.75
+NEARLY_DONE = 0.9
 """Share of a job's frames after which the process for the next job is started."""
 
 PAUSE_SECONDS = 10.0
