@@ -4,11 +4,12 @@ Taichi 1.7 translates the syntax tree of a kernel whenever a process first calls
 Most of that time goes to the source lines that an error at each node would show. And for each
 decorator it searches all loaded modules for a line of source, which imports each of them that was
 to be imported when first used. Here errors name file, line and function, and the line is read from
-the file that the frame itself names.
+the file that the frame itself names. A function that many kernels call is looked up once.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 import linecache
@@ -35,6 +36,10 @@ def shorten() -> None:
     looked_for = getattr(kernel_impl, "_inside_class", None)
     if patterns and looked_for and [*inspect.signature(looked_for).parameters] == [_LEVEL]:
         kernel_impl._inside_class = _inside_class
+    for name in ("getsourcelines", "getsourcefile"):
+        look_up = getattr(kernel_impl, name, None)
+        if look_up and not hasattr(look_up, "cache_info"):
+            setattr(kernel_impl, name, functools.cache(look_up))
 
 
 _LEVEL = "level_of_class_stackframe"

@@ -34,10 +34,7 @@ class Topology:
         kept: Index of each of these faces in the mesh, shape [f].
         disagree: Two faces that meet at an edge look to different sides.
         watertight: Every edge joins exactly two faces, and their orientations agree.
-        component_count: Number of parts that share no vertex.
-        euler: Vertices - edges + faces.
         open_edges: Edges passed more often in one direction than in the other, shape [e, 2], int64.
-        component_volumes: Signed volume of each part, shape [component_count], float64.
     """
 
     def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
@@ -60,13 +57,31 @@ class Topology:
         self.disagree: bool = bool(((uses == 2) & (balance != 0)).any())
         self.watertight: bool = bool(((uses == 2) & (balance == 0)).all())
 
-        used, labels = _components(edges)
-        self.component_count: int = int(labels.max(initial=-1)) + 1
-        self.euler: int = len(used) - len(edges) + len(self.faces)
+        self._edges = edges
+
+    @cached_property
+    def _parts(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        return _components(self._edges)
+
+    @cached_property
+    def component_count(self) -> int:
+        """Number of parts that share no vertex."""
+        return int(self._parts[1].max(initial=-1)) + 1
+
+    @cached_property
+    def euler(self) -> int:
+        """Vertices - edges + faces."""
+        return len(self._parts[0]) - len(self._edges) + len(self.faces)
+
+    @cached_property
+    def component_volumes(self) -> npt.NDArray[np.float64]:
+        """Signed volume of each part, shape [component_count]."""
+        used, labels = self._parts
         part = labels[np.searchsorted(used, self.faces[:, 0])]
-        self.component_volumes: npt.NDArray[Any] = np.bincount(
+        volumes: npt.NDArray[np.float64] = np.bincount(
             part, weights=face_volumes(self.points, self.faces), minlength=self.component_count
         )
+        return volumes
 
     @cached_property
     def openings(self) -> tuple[Opening, ...]:
