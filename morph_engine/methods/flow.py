@@ -34,10 +34,14 @@ from morph_engine.spans import span
 if TYPE_CHECKING:
     from morph_engine.geometry.mesh import Mesh
     from morph_engine.methods.options import MethodConfig
-    from morph_engine.mpm import Simulation
+    from morph_engine.mpm import Material, Simulation
 
 COURANT = 0.8
 """What an elastic shear wave travels in a time step, at most [cells]."""
+
+WAVE_STEPS = 8
+"""Time steps per frame that these waves may ask for. Where particles are so fine that they ask for
+more, matter is softer than it should be; `steps_per_frame` makes it stiff again."""
 
 CELLS_PER_STEP = 0.4
 """What the fastest particle shall move in a time step [cells]."""
@@ -258,18 +262,11 @@ class Flow(MpmMethod[FlowOptions]):
         Kernels are compiled for a grid: so those of one pair of shapes serve most others.
         """
         options, config, grid = self.options, self.problem.config, self._grid
-        material = options.material
         cells = mpm.Grid(1.0, round(grid.half_extent / grid.dx), width=grid.width)
         return mpm.Simulation(
             np.full(len(self.problem.source), config.spacing**3),
             grid=cells,
-            material=mpm.Material(
-                model=mpm.MODELS[material.model],
-                lame_lambda=0.0,  # pressure is the projection's: shear alone is left
-                lame_mu=material.lame_mu / grid.dx**2,
-                particle_mass=self._mass,
-                drag=material.drag,
-            ),
+            material=self._material(options.time.dt),
             dt=options.time.dt,
             transitions=1,
             domain=min(config.domain / grid.dx, cells.half_extent),
@@ -342,14 +339,29 @@ class Flow(MpmMethod[FlowOptions]):
         options = self.options
         wave = math.sqrt(options.material.lame_mu / options.material.density)
         cells = self._frame_seconds / self._grid.dx
-        least = max(wave * cells / COURANT, self._speed * cells / CELLS_PER_STEP)
+        least = max(
+            min(wave * cells / COURANT, WAVE_STEPS), self._speed * cells / CELLS_PER_STEP
+        )
         return max(options.steps_per_frame, math.ceil(least))
+
+    def _material(self, dt: float) -> Material:
+        """What the particles are made of, in cells, with waves as slow as the time step asks [s]."""
+        material = self.options.material
+        fastest = material.density * (COURANT / dt) ** 2
+        return mpm.Material(
+            model=mpm.MODELS[material.model],
+            lame_lambda=0.0,  # pressure is the projection's: shear alone is left
+            lame_mu=min(material.lame_mu / self._grid.dx**2, fastest),
+            particle_mass=self._mass,
+            drag=material.drag,
+        )
 
     def _flow(self, order: NDArray[np.intp], steps: int, share: float, next_share: float) -> int:
         """Make the time steps of a frame from the state kept; returns fault bits."""
         simulation, options = self._simulation, self.options
         simulation.layers[0].upload(self._particles.permuted(order).scaled(1 / self._edge))
         simulation.dt = self._frame_seconds / steps
+        simulation.material = self._material(simulation.dt)
         simulation.clear_faults()
         body = self._boxes[0].union(self._boxes[1])
         self._projection.look_at(body, body.union(self._reach(steps)))
