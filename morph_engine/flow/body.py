@@ -111,18 +111,20 @@ class BodyPath:
         self._matter = matter
         self.carried: bool = warp is not None
         self._blended: Callable[[float], Field]
+        self.corner: NDArray[np.int64]
+        self.size: NDArray[np.int64]
         if warp:
-            box: Box = tuple(slice(0, along) for along in source.shape)
-            ends = [compressed(distance, reach) for distance in (source, target)]
-            self._blended = _carried(Carrier(warp, ends, grid), tension / self._step)
+            carrier = Carrier(warp, [compressed(end, reach) for end in (source, target)], grid)
+            self.corner, self.size = carrier.corner, carrier.size
+            self._blended = _carried(carrier, tension / self._step)
         else:
             box = _bounding_box(np.minimum(source, target) < 0, margin=4)
             first, last = (np.ascontiguousarray(end[box]) for end in (source, target))
             blend = Blend(first, last, self._step, reach=reach, tension=tension)
             shares = _even_shares(blend.coarser())
             self._blended = lambda share: blend.at(_interpolated(shares, share))
-        self.corner: NDArray[np.int64] = np.array([along.start for along in box])
-        self.size: NDArray[np.int64] = np.array([along.stop - along.start for along in box])
+            self.corner = np.array([along.start for along in box])
+            self.size = np.array([along.stop - along.start for along in box])
 
     @property
     def volumes(self) -> tuple[float, float]:

@@ -17,23 +17,43 @@ COARSENING = 2
 MARGIN = 3.0
 """Distances are blended so far from the controls [dx]; the body ends nearer to them."""
 
+SAMPLES = 21
+"""Shares of the way at which is looked where the controls are."""
+
 FAR = 1e3
 """Distance that stands for all beyond [dx]."""
 
 
 class Carrier:
-    """Distances that are carried by a warp and blended, on the device."""
+    """Distances that are carried by a warp and blended, on the device.
+
+    Args:
+        warp: What carries them.
+        ends: Distances to source and target on the fine lattice [dx], shape [m, m, m] each.
+        grid: The grid, whose nodes are every second point of the lattice.
+
+    Attributes:
+        corner: The lowest point of the lattice at which they are blended, shape [3].
+        size: Number of these points along each axis, shape [3].
+    """
 
     def __init__(self, warp: Warp, ends: list[NDArray[np.float32]], grid: Grid) -> None:
         self._warp = warp
         self._grid = grid
         self._ends = [backend.active().upload(end.ravel()) for end in ends]
-        self._level = backend.active().scalars(ends[0].size)
         self._count = ends[0].shape[0]
+        controls = np.concatenate([warp.at(share)[0] for share in np.linspace(0, 1, SAMPLES)])
+        low, high = controls.min(axis=0) - MARGIN, controls.max(axis=0) + MARGIN
+        first = np.floor((low - grid.origin) / grid.dx).astype(np.int64) - 1
+        last = np.ceil((high - grid.origin) / grid.dx).astype(np.int64) + 1
+        self.corner: NDArray[np.int64] = REFINEMENT * np.maximum(first, 0)
+        end = REFINEMENT * np.minimum(last, grid.resolution - 1)
+        self.size: NDArray[np.int64] = end - self.corner + 1
+        self._level = backend.active().scalars(int(self.size.prod()))
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
 
     def blended(self, share: float) -> NDArray[np.float32]:
-        """phi_s on the fine lattice [dx], shape [m, m, m]."""
+        """phi_s on this box of the fine lattice [dx], of shape `size`."""
         upload = backend.active().upload
         controls, _ = self._warp.at(share)
         corner, axes = [], []
@@ -45,11 +65,10 @@ class Carrier:
         carry(
             *map(upload, self._warp.ends(nodes, share)), *self._ends, self._level, share,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
+            ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
             ti.math.ivec3(corner), ti.math.ivec3([len(axis) for axis in axes]),
         )  # fmt: skip
-        level: NDArray[np.float32] = (
-            self._level.to_numpy().astype(np.float32).reshape((self._count,) * 3)
-        )
+        level: NDArray[np.float32] = self._level.to_numpy().astype(np.float32).reshape(self.size)
         return level
 
 
@@ -80,15 +99,18 @@ def carry(
     origin: float,
     step: float,
     size: ti.math.ivec3,
+    low: ti.math.ivec3,
+    box: ti.math.ivec3,
     corner: ti.math.ivec3,
     coarse_size: ti.math.ivec3,
 ):
     """Blend both distances, each at the place where a point of the lattice comes from or goes.
 
-    `back` and `onward` hold those places for a box of the coarser lattice.
+    `back` and `onward` hold those places for a box of the coarser lattice, `level` what is blended
+    for one of the fine lattice.
     """
     for n in range(level.shape[0]):
-        place = ti.Vector([n // (size.y * size.z), (n // size.z) % size.y, n % size.z])
+        place = low + ti.Vector([n // (box.y * box.z), (n // box.z) % box.y, n % box.z])
         along = ti.cast(place, float) / (REFINEMENT * COARSENING) - corner
         blended = FAR
         if along.min() >= 0 and (coarse_size - 1 - along).min() >= 0:

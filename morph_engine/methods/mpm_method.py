@@ -37,7 +37,7 @@ class MpmOptions(MethodOptions):
     time: TimeConfig = TimeConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
 
-    cost: ClassVar[CostRates] = MethodOptions.cost._replace(bytes_per_node=350)
+    cost: ClassVar[CostRates] = MethodOptions.cost._replace(bytes_per_node=200)
 
     def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
         """Nodes of the background grid."""

@@ -38,7 +38,7 @@ class TransportOptions(MpmOptions):
         "fast": {"material": {"drag": 4.0}},
         "published": {"material": {"model": "fixed_corotated"}},
     }
-    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.85, 0.2, bytes_per_node=170)
+    cost: ClassVar[CostRates] = CostRates(9e-6, 2e-6, 0.85, 0.2, bytes_per_node=18)
     fixed: ClassVar[tuple[str, ...]] = ("frames", "rest", "destinations", "sweeps", "group")
 
     name: Literal["transport"] = "transport"
