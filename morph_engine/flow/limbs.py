@@ -72,7 +72,7 @@ def waiting(source: Field, target: Field, first: Field, last: Field, step: float
         (target, share, 0.0, 1.0, ARRIVING),
     ):
         turn = np.where(both, np.float32(least), turn)
-        later = _in_turn(turn, shape < 0, core, step / pace)
+        later = in_turn(turn, shape < 0, core, step / pace)
         alone = (shape < 0) & ~both & np.isfinite(later)
         latest = np.minimum(later, turn + LATEST * (end - turn))
         raised[alone] = (height * (latest - turn))[alone]
@@ -80,10 +80,17 @@ def waiting(source: Field, target: Field, first: Field, last: Field, step: float
     return np.where((source < 0) | (target < 0), raised, around)
 
 
-def _in_turn(turn: Field, inside: Mask, core: Mask, delay: float) -> Field:
-    """T of the points inside, infinite where the core is not reached; `delay` is of one step.
+def in_turn(turn: Field, inside: Mask, core: Mask, delay: float) -> Field:
+    """When each point has its turn; only neighbours of points whose turn has changed are looked at.
 
-    Only neighbours of points whose T has changed are looked at.
+    Args:
+        turn: t at the points of a lattice, shape [m, n, k].
+        inside: The points that have a turn.
+        core: Those of them that have t; the others follow their neighbours.
+        delay: Of one lattice step.
+
+    Returns:
+        T, infinite outside and where the core is not reached.
     """
     infinite = np.float32(np.inf)
     turn = np.pad(np.where(inside, turn, infinite), 1, constant_values=infinite)

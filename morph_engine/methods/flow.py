@@ -339,19 +339,18 @@ class Flow(MpmMethod[FlowOptions]):
         options = self.options
         wave = math.sqrt(options.material.lame_mu / options.material.density)
         cells = self._frame_seconds / self._grid.dx
-        least = max(
-            min(wave * cells / COURANT, WAVE_STEPS), self._speed * cells / CELLS_PER_STEP
-        )
-        return max(options.steps_per_frame, math.ceil(least))
+        of_waves = min(wave * cells / COURANT, WAVE_STEPS)
+        of_motion = self._speed * cells / CELLS_PER_STEP
+        return max(options.steps_per_frame, math.ceil(max(of_waves, of_motion)))
 
     def _material(self, dt: float) -> Material:
-        """What the particles are made of, in cells, with waves as slow as the time step asks [s]."""
+        """What particles are made of, in cells, with waves as slow as a time step asks for [s]."""
         material = self.options.material
-        fastest = material.density * (COURANT / dt) ** 2
+        stiffest = material.density * (COURANT / dt) ** 2
         return mpm.Material(
             model=mpm.MODELS[material.model],
             lame_lambda=0.0,  # pressure is the projection's: shear alone is left
-            lame_mu=min(material.lame_mu / self._grid.dx**2, fastest),
+            lame_mu=min(material.lame_mu / self._grid.dx**2, stiffest),
             particle_mass=self._mass,
             drag=material.drag,
         )

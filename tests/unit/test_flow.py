@@ -28,6 +28,7 @@ from morph_engine.flow import (
 )
 from morph_engine.flow.body import refined
 from morph_engine.flow.cell_list import CellList
+from morph_engine.flow.limbs import in_turn
 from morph_engine.flow.settling import FILLING, LONGEST_MOVE, REACH, RELAXATION, UNEVEN
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
@@ -323,6 +324,29 @@ def test_a_limb_goes_from_its_tip_and_none_of_it_is_cut_off() -> None:
     assert sections[2] > 0.45 * sections[0]
 
 
+def test_points_follow_their_neighbours() -> None:
+    """T_x = max(t_x, min over neighbours of T + delay) outside the core; what is apart has none."""
+    random = np.random.default_rng(5)
+    turn = random.random((9, 12, 7), np.float32)
+    inside = random.random(turn.shape) < 0.6
+    core = np.zeros(turn.shape, bool)
+    core[2:4, 5:8, 3] = inside[2:4, 5:8, 3]
+    delay = 0.0625
+    later = in_turn(turn, inside, core, delay)
+    around = np.pad(later, 1, constant_values=np.inf)
+    neighbours = [
+        np.roll(around, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (-1, 1)
+    ]
+    follow = np.maximum(turn, np.min(neighbours, axis=0) + np.float32(delay))
+    np.testing.assert_array_equal(later[core], turn[core])
+    np.testing.assert_array_equal(later[inside & ~core], follow[inside & ~core])
+    assert np.isinf(later[~inside]).all()
+    pieces, _ = scipy.ndimage.label(inside)
+    reached = np.isin(pieces, pieces[core])
+    assert np.isfinite(later[inside & reached]).all()
+    assert np.isinf(later[inside & ~reached]).all()
+
+
 @pytest.mark.parametrize("growing", [False, True])
 def test_a_thick_end_is_not_left_by_the_thin_part_that_joins_it(growing: bool) -> None:
     """A ball on a rod comes and goes with it: the body is in one piece all the way."""
@@ -539,3 +563,18 @@ def test_clouds_are_morphed_as_meshes_are() -> None:
     ]
     last = list(morph(*clouds, configure(overrides=SMALL)))[-1]
     assert last.metrics["cover"] > 0.95
+
+
+def test_waves_ask_for_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matter six times as stiff as usual takes eight steps a frame, and stays whole."""
+    made = []
+    project = Projection.project
+    monkeypatch.setattr(
+        Projection, "project", lambda *given: (made.append(1), project(*given))[1]
+    )
+    stiff = configure(overrides=SMALL | {"method.material.youngs_modulus": 9e5, "frames": 12})
+    frames = [(len(made), frame) for frame in morph("sphere", "star", stiff)]
+    steps = np.diff([0] + [count for count, _ in frames])
+    assert steps.min() == 8
+    assert not any(event.kind == "restart" for _, frame in frames for event in frame.events)
+    assert frames[-1][1].metrics["coverage"] > 0.98
