@@ -73,11 +73,11 @@ class Topology:
         return len(self._parts[0]) - len(self._edges) + len(self.faces)
 
     @cached_property
-    def component_volumes(self) -> npt.NDArray[np.float64]:
+    def component_volumes(self) -> npt.NDArray[Any]:
         """Signed volume of each part, shape [component_count]."""
         used, labels = self._parts
         part = labels[np.searchsorted(used, self.faces[:, 0])]
-        volumes: npt.NDArray[np.float64] = np.bincount(
+        volumes: npt.NDArray[Any] = np.bincount(
             part, weights=face_volumes(self.points, self.faces), minlength=self.component_count
         )
         return volumes
