@@ -37,6 +37,7 @@ from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.ingest import check_mesh
 from morph_engine.machine_cores import usable_cores
 from morph_engine.machine_memory import free_memory
+from morph_engine.memory_return import return_free_memory
 from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import deformation_metrics, determinants
@@ -237,6 +238,7 @@ def run(
             complete = True
         finally:
             if spool.frame_count:
+                return_free_memory()
                 with span("writing"):
                     write_result(spool, status="complete" if complete else "partial")
         spool.remove()
@@ -369,6 +371,7 @@ def _frames_of_leg(
     on_stage("preparing")
     with span("preparing", leg=leg.index):
         method = kind(leg.problem())
+    return_free_memory()  # preparing takes more for a moment than computing does
     on_stage("computing")
     with span("computing", leg=leg.index):
         stopping = EarlyStopping(leg.record.config)
@@ -448,6 +451,7 @@ def _computed_frames(
                 *(leg.event(event) for event in (*outcome.events, *observed)),
             ]
             if stopping.stopped or index == config.frames - 1:
+                return_free_memory()
                 with span("measuring"):
                     metrics |= _measure_fill(outcome, record, threads)
             metrics |= outcome.numbers

@@ -194,6 +194,10 @@ def load_mesh(path: str | Path) -> Mesh:
         ) from error
     if companions and companions.missing:
         left_out += (f"{companions.missing[0]} is not in the archive and has been left out.",)
+    materials = re.search(rb"^mtllib\s+(\S.*?)\s*$", content, re.MULTILINE)
+    if kind == "obj" and materials and not companions and colors is None:
+        name = materials[1].decode("utf-8", "replace")
+        left_out += (f"For colours of {name}, put both files into a ZIP archive.",)
     mesh = make_mesh(
         vertices,
         faces,

@@ -91,6 +91,9 @@ def test_what_is_not_there_is_told(tmp_path):
     alone = load_mesh(archive(tmp_path / "alone.zip", {"box.obj": box_obj()}))
     assert alone.colors is None
     assert alone.repairs == ("box.mtl is not in the archive and has been left out.",)
+    (tmp_path / "box.obj").write_text(box_obj())
+    lone = load_mesh(tmp_path / "box.obj")
+    assert lone.repairs == ("For colours of box.mtl, put both files into a ZIP archive.",)
 
 
 def test_a_gltf_has_its_buffer_and_its_picture(tmp_path):
