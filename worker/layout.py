@@ -11,7 +11,7 @@ from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.tables import create_missing
 from morph_engine.errors import ConfigError
-from morph_engine.files import replacing
+from morph_engine.files import replacing, wait_for
 
 LAYOUT = 1
 """Layout that this program reads and writes; one more where an older program would do harm.
@@ -51,8 +51,10 @@ def check_layout(settings: Settings) -> None:
     finally:
         engine.dispose()
     if _read(file) < LAYOUT:
-        with replacing(file) as path:
-            path.write_text(f"{LAYOUT}\n", encoding="ascii")
+        with wait_for(file.with_suffix(".lock")):  # API, janitor and workers start together
+            if _read(file) < LAYOUT:
+                with replacing(file) as path:
+                    path.write_text(f"{LAYOUT}\n", encoding="ascii")
 
 
 def _read(file: Path) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,22 @@ def test_a_newer_layout_is_refused(
         )
     with pytest.raises(ConfigError, match=f"has layout {layout.LAYOUT + 1}"):
         check_layout(settings)
+
+
+def test_processes_that_start_together_agree(settings: Settings) -> None:
+    """API, janitor and workers of a new service note its layout at once."""
+    check_layout(settings)
+    together = threading.Barrier(6)
+
+    def start(_: int) -> None:
+        together.wait()
+        check_layout(settings)
+
+    with ThreadPoolExecutor(6) as starting:
+        for _ in range(10):
+            (settings.data_dir / "layout").unlink()
+            list(starting.map(start, range(6)))
+            assert (settings.data_dir / "layout").read_text() == f"{layout.LAYOUT}\n"
 
 
 @pytest.mark.parametrize(
