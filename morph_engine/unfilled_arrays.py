@@ -10,17 +10,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from taichi.lang import impl
+from morph_engine.memory_limit import uncounted
 
 
 @contextmanager
 def unfilled() -> Iterator[None]:
     """Arrays made in here hold anything at first: read nothing of them that was not written."""
+    from taichi.lang import impl
+
     runtime = impl.get_runtime()
     program = runtime.prog
     runtime.prog = _Unfilling(program)
     try:
-        yield
+        with uncounted():
+            yield
     finally:
         runtime.prog = program
 

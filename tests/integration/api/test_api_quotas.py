@@ -227,9 +227,9 @@ def test_a_job_that_no_worker_has_room_for_is_refused(make_api: Callable[..., Ap
 
 def test_particles_follow_the_grid(make_api: Callable[..., Api]) -> None:
     """A finer one takes more of them, and memory; on a coarse one a shape has too few."""
-    api = make_api(job_memory_bytes=2_300_000_000)
+    api = make_api(job_memory_bytes=1_800_000_000)
     for settings, cause in (
-        ({"grid.dx": 0.2, "time.dt": 0.0005, "sampling.points_per_cell_edge": 1}, "2,300 MB"),
+        ({"grid.dx": 0.2, "time.dt": 0.0005, "sampling.points_per_cell_edge": 1}, "1,800 MB"),
         ({"grid.dx": 8, "sampling.points_per_cell_edge": 4}, "fewer than 500"),
     ):
         answer = api.http.post("/v1/jobs", json=MORPH | {"method": "joint", "overrides": settings})
