@@ -1,4 +1,4 @@
-"""Print the table of the bar: `python -m benchmarks [--quick] [--json] [group ...]`."""
+"""Print the table of the bar: `python -m benchmarks [--quick] [--json] [--record] [group ...]`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
+from benchmarks import history
 from benchmarks.benchmark_groups import MODULES, measure
 from benchmarks.comparison import Row, failed, table
 from benchmarks.record import document, machine
@@ -18,6 +19,7 @@ def main() -> None:
     parser.add_argument("groups", nargs="*", metavar="group", help=", ".join(MODULES))
     parser.add_argument("--quick", action="store_true", help="fewer repeats, no whole job")
     parser.add_argument("--json", action="store_true", help="one JSON document instead")
+    parser.add_argument("--record", action="store_true", help="add it to results/history.jsonl")
     options = parser.parse_args()
     unknown = set(options.groups) - set(MODULES)
     if unknown:
@@ -27,6 +29,8 @@ def main() -> None:
     for group in options.groups or MODULES:
         sys.stderr.write(f"measuring {group} ...\n")
         rows += measured(group, options.quick)
+    if options.record:
+        history.record(rows)
     if options.json:
         sys.stdout.write(document([row.document() for row in rows]))
     else:

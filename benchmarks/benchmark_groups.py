@@ -13,6 +13,7 @@ MODULES = {
     "frames": "frames",
     "product": "morph_command",
     "scaling": "scaling",
+    "sizes": "sizes",
 }
 
 

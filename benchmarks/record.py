@@ -20,12 +20,16 @@ def machine() -> str:
 
 def document(rows: Sequence[dict[str, Any]], **conditions: str) -> str:
     """Rows as JSON, and the conditions under which they were measured, when and by which commit."""
+    return json.dumps(fields(rows, **conditions), indent=1) + "\n"
+
+
+def fields(rows: Sequence[dict[str, Any]], **conditions: str) -> dict[str, Any]:
+    """Rows, and the conditions under which they were measured, when and by which commit."""
     now = datetime.now(timezone.utc)
-    fields = {
+    return {
         "machine": machine(),
         "commit": commit(),
         "date": f"{now:%Y-%m-%d}",
         **conditions,
         "rows": rows,
     }
-    return json.dumps(fields, indent=1) + "\n"

@@ -1,4 +1,4 @@
-"""Measure the service: `python -m benchmarks.service [--database URL] [--json] [group ...]`."""
+"""Measure the service: `python -m benchmarks.service [--json] [--record] [group ...]`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks import history
 from benchmarks.record import document, machine
 from benchmarks.service import fairness, first_frame, latency, load
 from benchmarks.service.local_service import LocalService
@@ -31,6 +32,7 @@ def main() -> int:
     parser.add_argument("groups", nargs="*", metavar="group", help=", ".join(GROUPS))
     parser.add_argument("--database", default="", help="URL of an empty Postgres database")
     parser.add_argument("--json", action="store_true", help="one JSON document instead")
+    parser.add_argument("--record", action="store_true", help="add it to results/history.jsonl")
     options = parser.parse_args()
     unknown = set(options.groups) - GROUPS.keys()
     if unknown:
@@ -41,6 +43,8 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="morph-service-") as folder:
             figures += GROUPS[group](LocalService(Path(folder), options.database))
     database = "Postgres" if options.database else "SQLite"
+    if options.record:
+        history.record(figures, database=database)
     if options.json:
         sys.stdout.write(document([asdict(figure) for figure in figures], database=database))
     else:

@@ -40,7 +40,7 @@ SECTIONS = {
     "Reference": (
         "reference/command_line", "reference/settings", *library.pages(), "api", "reference/http",
     ),
-    "Operating": ("operating", "settings", "faults"),
+    "Operating": ("operating", "settings", "performance", "faults"),
     "About": ("architecture", "contributing", "changelog", "security", "citing"),
 }  # fmt: skip
 """Every page but the first, under the headings of the list at the side."""
