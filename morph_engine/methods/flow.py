@@ -188,12 +188,12 @@ class Flow(MpmMethod[FlowOptions]):
         self._layers = [flow.layer_arrays(layer) for layer in self._simulation.layers]
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
-        self._levels = [device.scalars(int(self._path.size.prod())) for _ in range(2)]
+        first, second = (device.scalars(int(self._path.size.prod())) for _ in range(2))
         box = device.integers(6)
         box.from_numpy(np.concatenate([self._path.corner, self._path.size]).astype(np.int32))
-        self._level_pairs = [
+        self._levels = [
             flow.Levels(now=now, then=then, box=box)
-            for now, then in (self._levels, self._levels[::-1])
+            for now, then in ((first, second), (second, first))
         ]
         self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
         self._boxes = [NodeBox.whole(self._grid.resolution)] * 2
@@ -309,7 +309,7 @@ class Flow(MpmMethod[FlowOptions]):
         if self._body_frame != frame:
             self._upload_body(0, share, next_share)
         else:
-            for states in (self._levels, self._level_pairs, self._masses, self._boxes):
+            for states in (self._levels, self._masses, self._boxes):
                 states.reverse()
         self._upload_body(1, next_share, self._share(frame + 2))
         self._body_frame = frame + 1
@@ -317,7 +317,7 @@ class Flow(MpmMethod[FlowOptions]):
     def _upload_body(self, slot: int, share: float, following: float) -> None:
         body = self._bodies.at(share, following)
         real = self.device.numpy_real
-        self._levels[slot].from_numpy((body.level.ravel() / self._edge).astype(real))
+        self._levels[slot].now.from_numpy((body.level.ravel() / self._edge).astype(real))
         self._masses[slot].from_numpy(body.mass.ravel().astype(real))
         self._boxes[slot] = body.box
 
@@ -375,7 +375,7 @@ class Flow(MpmMethod[FlowOptions]):
         for step in range(steps):
             part = (step + 1) / steps
             flow.prepare(
-                self._layers[0], self._volume_ratio, self._guidance, self._level_pairs[0], part,
+                self._layers[0], self._volume_ratio, self._guidance, self._levels[0], part,
                 depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt,
                 simulation.grid,
             )  # fmt: skip
@@ -390,7 +390,7 @@ class Flow(MpmMethod[FlowOptions]):
             )
             now = share + part * (next_share - share)
             for rounds in range(left, left_then, -1):
-                self._settle(simulation.layers[1].x, now, (self._level_pairs[0], part), rounds)
+                self._settle(simulation.layers[1].x, now, (self._levels[0], part), rounds)
             simulation.layers.reverse()
             self._layers.reverse()
             if simulation.faults:
