@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -569,7 +570,12 @@ def test_waves_ask_for_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Matter six times as stiff as usual takes eight steps a frame, and stays whole."""
     made = []
     project = Projection.project
-    monkeypatch.setattr(Projection, "project", lambda *given: (made.append(1), project(*given))[1])
+
+    def counted(*given: Any) -> None:
+        made.append(given)
+        project(*given)
+
+    monkeypatch.setattr(Projection, "project", counted)
     stiff = configure(overrides=SMALL | {"method.material.youngs_modulus": 9e5, "frames": 12})
     frames = [(len(made), frame) for frame in morph("sphere", "star", stiff)]
     steps = np.diff([0] + [count for count, _ in frames])
