@@ -18,7 +18,7 @@ from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 
 LIBRARIES = (
-    "h5py", "igl", "ot.gromov", "scipy.interpolate", "scipy.ndimage", "scipy.sparse.csgraph",
+    "h5py", "igl", "scipy.interpolate", "scipy.ndimage", "scipy.sparse.csgraph",
     "scipy.spatial.transform", "threadpoolctl", "trimesh.creation",
 )  # fmt: skip
 """Libraries that the engine imports when it first needs them."""
@@ -73,4 +73,4 @@ def small_run(method: str | None = None, extent: int | None = None) -> MorphConf
     if method not in (None, DEFAULT_METHOD):
         return configure(overrides=SMALL | {"method": method})
     cell = SPHERE_RADIUS / ((extent or TYPICAL_EXTENT) - MARGIN)
-    return configure(overrides=SMALL | {"like_parts": "off", "cell": cell})
+    return configure(overrides=SMALL | {"like_parts": "on", "cell": cell})

@@ -6,13 +6,13 @@ from .contact import LayerArrays as LayerArrays
 from .contact import Levels as Levels
 from .contact import layer_arrays as layer_arrays
 from .contact import prepare as prepare
-from .correspondence import Controls as Controls
-from .correspondence import Correspondence as Correspondence
-from .correspondence import match as match
-from .correspondence import sample_controls as sample_controls
+from .controls import Controls as Controls
+from .controls import sample_controls as sample_controls
 from .nearest_gap import NearestGap as NearestGap
 from .node_box import NodeBox as NodeBox
 from .projection import Projection as Projection
+from .registration import Registration as Registration
+from .registration import register as register
 from .settling import Settling as Settling
 from .stray_pieces import StrayPieces as StrayPieces
 from .warp import Warp as Warp

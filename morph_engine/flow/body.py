@@ -133,7 +133,17 @@ class BodyPath:
 
     def at(self, share: float) -> Body:
         """The body after a share of its change, between 0 and 1."""
-        level = self._blended(share)
+        return self.body(share, self.level(share))
+
+    def level(self, share: float) -> Field:
+        """The level of the body before it has the scheduled volume [dx], of shape `size`.
+
+        Where the path is carried, a kernel makes it, which one thread alone may launch.
+        """
+        return self._blended(share)
+
+    def body(self, share: float, level: Field) -> Body:
+        """The body of a level that `level` returned, which is changed."""
         level -= _quantile(level, round((1 - share) * self._inside[0] + share * self._inside[1]))
         if 0 < share < 1:
             level = self._without_pieces(self._without_threads(self._as_distance(level)))

@@ -1,41 +1,36 @@
-"""A motion that carries the source's parts to where they belong, as rigidly as possible.
+"""A motion that carries the source's parts to where they belong.
 
-Control points x_i with images q_i have rotations R_i about them. On the way each rotation is part
-of the whole one (the shapes' common rotation and what remains of each, interpolated as rotations),
-and the positions are those that fit the turned edges best (Alexa et al. 2000, Sorkine and Alexa
-2007). In between, points follow the controls near them.
+Around each control point x_i with its image q_i the motion is affine, A_i = R_i S_i. On the way the
+rotation is part of the whole one (the shapes' common rotation and what remains of each,
+interpolated as rotations) and the stretch a power of the whole one, S_i^s, so that volumes change
+evenly. The positions are those that fit the edges carried so best (Alexa et al. 2000). In between,
+points follow the controls near them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from morph_engine.flow.correspondence import Controls, Correspondence, images_of
-
-ot: Any = lazy.load("ot")
+from morph_engine.blas_threads import one_blas_thread
+from morph_engine.flow.controls import Controls
+from morph_engine.flow.elastic_cloud import ElasticCloud
+from morph_engine.flow.registration import Registration
 
 Points = NDArray[np.float64]
-
-EDGES = 8
-"""Neighbours of a control inside the shape."""
 
 FOLLOWED = 8
 """Controls that a point follows."""
 
-ROUNDS = 8
-ADHERENCE = 0.1
-"""Weight of the images against that of rigid edges."""
+SMOOTHINGS = 2
+"""Rounds in which the affine motion of a control is averaged with those of its neighbours."""
 
-LANDMARK_ADHERENCE = 1e3
-"""That of landmarks."""
+LEAST_STRETCH = 0.15
 
 LEAST_DISTANCE = 0.05
 """From a landmark, below which points follow it equally [distances between controls]."""
@@ -55,37 +50,57 @@ class Followed:
     weight: Points
     offset: Points
 
+    def carried(self, controls: Points, affine: Points) -> Points:
+        """Where the points are when the controls are there, and moved so around them, [n, 3]."""
+        moved = np.matmul(affine[self.near], self.offset[..., None])[..., 0] + controls[self.near]
+        carried: Points = np.einsum("nk,nki->ni", self.weight, moved)
+        return carried
+
 
 class Warp:
     """The motion of control points, and of space with them.
 
     Args:
-        correspondence: Which parts belong together.
+        source: Controls of the source.
+        registration: Where they belong.
+
+    Attributes:
+        start: The controls in the source [dx], shape [k, 3].
+        end: Their images [dx], shape [k, 3].
     """
 
-    def __init__(self, correspondence: Correspondence) -> None:
-        source, target = correspondence.source, correspondence.target
+    def __init__(self, source: Controls, registration: Registration) -> None:
         self.start: Points = source.points
-        self.end: Points
-        self._edges = _edges(source)
+        self.end: Points = registration.images
         self._landmark_count = source.landmark_count
-        self._laplacian = self._assemble()
-        self._grounded = scipy.linalg.cho_factor(self._laplacian + 1 / len(source.points))
-        self._adherence = np.full(len(source.points), ADHERENCE)
-        self._adherence[: self._landmark_count] = LANDMARK_ADHERENCE
-        self.end, rotations = self._fit(correspondence.images)
-        for _ in range(ROUNDS):
-            self.end, rotations = self._fit(_spread(self.end, source, target))
+        self._spacing = float(np.median(cKDTree(self.start).query(self.start, 2)[0][:, 1]))
+        cloud = ElasticCloud(source.points, source.form, 1.0)
+        self._edges = _edges(self.start, cloud.near)
+        self._grounded = scipy.linalg.cho_factor(self._laplacian() + 1 / len(self.start))
+        affine = cloud.affine(self.end)
+        for _ in range(SMOOTHINGS):
+            affine = (affine + affine[cloud.near].mean(axis=1)) / 2
+        u, stretch, axes = np.linalg.svd(affine)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ axes))[:, None]
+        self._logarithm = np.log(np.maximum(stretch, LEAST_STRETCH))
+        self._axes = axes
         self._whole = Rotation.align_vectors(
             self.end - self.end.mean(axis=0), self.start - self.start.mean(axis=0)
         )[0]
-        self._rest = self._whole.inv() * rotations
-        self._spacing = float(np.median(cKDTree(self.start).query(self.start, 2)[0][:, 1]))
-        self._remainder = self.end - self._place(1.0, np.zeros_like(self.end))
+        self._rest = self._whole.inv() * Rotation.from_matrix(u @ axes)
+        self._remainder = self.end - self._placed(self.affine(1.0), 1.0)
 
-    def at(self, share: float) -> tuple[Points, Rotation]:
-        """Controls after a share of the way [dx], shape [k, 3], and their rotations."""
-        return self._place(share, share * self._remainder), self.rotations(share)
+    def at(self, share: float) -> tuple[Points, Points]:
+        """Controls after a share of the way [dx], shape [k, 3], and the affine motions there."""
+        with one_blas_thread():
+            affine = self.affine(share)
+            return self._placed(affine, share) + share * self._remainder, affine
+
+    def affine(self, share: float) -> Points:
+        """The affine motion around each control after a share of the way, shape [k, 3, 3]."""
+        stretch = np.exp(share * self._logarithm)[:, :, None] * self._axes
+        affine: Points = self.rotations(share).as_matrix() @ self._axes.transpose(0, 2, 1) @ stretch
+        return affine
 
     def rotations(self, share: float) -> Rotation:
         """Rotations of the controls after a share of the way."""
@@ -94,103 +109,59 @@ class Warp:
 
     def follow(self, points: Points) -> Followed:
         """Which controls points of the source follow, shape [n, 3]."""
-        near, weight = self._followed(points, self.start)
-        return Followed(near, weight, points[:, None] - self.start[near])
+        return self._followed(points, self.start)
 
     def ends(self, points: Points, share: float) -> tuple[Points, Points]:
         """Where points at a share of the way come from and where they belong, each shape [n, 3]."""
-        now, turned = self.at(share)
-        near, weight = self._followed(points, now)
-        followed = Followed(near, weight, points[:, None] - now[near])
-        inverse = turned.inv()
+        now, affine = self.at(share)
+        followed = self._followed(points, now)
+        back = np.linalg.inv(affine).astype(np.float64)
         return (
-            _carried(followed, self.start, inverse),
-            _carried(followed, self.end, self.rotations(1.0) * inverse),
+            followed.carried(self.start, back),
+            followed.carried(self.end, self.affine(1.0) @ back),
         )
 
     def forward(self, followed: Followed, share: float) -> Points:
         """Where points of the source are after a share of the way [dx], shape [n, 3]."""
-        return _carried(followed, *self.at(share))
+        return followed.carried(*self.at(share))
 
-    def _followed(self, points: Points, controls: Points) -> tuple[NDArray[np.intp], Points]:
-        """The controls that each point follows, and how much, both shape [n, FOLLOWED].
-
-        Close to a landmark points follow it alone, so that it is met.
-        """
-        distance, near = cKDTree(controls).query(points, FOLLOWED)
+    def _followed(self, points: Points, controls: Points) -> Followed:
+        """The controls that each point follows; close to a landmark it alone, so that it is met."""
+        distance, near = cKDTree(controls).query(points, min(FOLLOWED, len(controls)))
         reach = np.maximum(distance[:, -1:], 1.5 * self._spacing)
         weight = (1 - (distance / (1.001 * reach)) ** 2) ** 2
         close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
         weight = np.where(near < self._landmark_count, close * weight, weight)
-        return near, weight / weight.sum(axis=1, keepdims=True)
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        return Followed(near, weight, points[:, None] - controls[near])
 
-    def _assemble(self) -> NDArray[np.float64]:
+    def _laplacian(self) -> Points:
         i, j, weight = self._edges
-        n = len(self.start)
-        laplacian = np.zeros((n, n))
+        laplacian = np.zeros((len(self.start),) * 2)
         np.add.at(laplacian, (i, j), -weight)
         np.add.at(laplacian, (i, i), weight)
         return laplacian
 
-    def _divergence(self, matrices: Points) -> Points:
-        """Right-hand side of the positions that fit the turned edges."""
+    def _placed(self, affine: Points, share: float) -> Points:
+        """Positions that fit the carried edges best, with their mean on a straight line."""
         i, j, weight = self._edges
-        turned = np.einsum(
-            "eij,ej->ei", (matrices[i] + matrices[j]) / 2, self.start[i] - self.start[j]
-        )
-        total = np.zeros_like(self.start)
-        np.add.at(total, i, weight[:, None] * turned)
-        return total
-
-    def _fit(self, images: Points) -> tuple[Points, Rotation]:
-        """Positions near the images that keep edges rigid, and the rotations about them."""
-        factor = scipy.linalg.cho_factor(self._laplacian + np.diag(self._adherence))
-        positions = images
-        for _ in range(ROUNDS):
-            rotations = self._turned(positions)
-            right = self._divergence(rotations.as_matrix()) + self._adherence[:, None] * images
-            positions = scipy.linalg.cho_solve(factor, right)
-        return positions, self._turned(positions)
-
-    def _turned(self, positions: Points) -> Rotation:
-        """The rotation about each control that fits its edges best."""
-        i, j, weight = self._edges
-        spread = np.zeros((len(positions), 3, 3))
-        outer = (positions[i] - positions[j])[:, :, None] * (self.start[i] - self.start[j])[:, None]
-        np.add.at(spread, i, weight[:, None, None] * outer)
-        u, _, vt = np.linalg.svd(spread)
-        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-        return Rotation.from_matrix(u @ vt)
-
-    def _place(self, share: float, remainder: Points) -> Points:
-        right = self._divergence(self.rotations(share).as_matrix())
+        edges = self.start[i] - self.start[j]
+        carried = np.einsum("eij,ej->ei", (affine[i] + affine[j]) / 2, edges)
+        right = np.zeros_like(self.start)
+        np.add.at(right, i, weight[:, None] * carried)
         free = scipy.linalg.cho_solve(self._grounded, right)
         middle = (1 - share) * self.start.mean(axis=0) + share * self.end.mean(axis=0)
-        placed: Points = free - free.mean(axis=0) + middle + remainder
+        placed: Points = free - free.mean(axis=0) + middle
         return placed
 
 
-def _carried(followed: Followed, controls: Points, turned: Rotation) -> Points:
-    """Points that follow controls which have moved and turned."""
-    near, offset = followed.near, followed.offset
-    matrices = turned.as_matrix()[near]
-    moved = np.matmul(matrices, offset[..., None])[..., 0] + controls[near]
-    carried: Points = np.einsum("nk,nki->ni", followed.weight, moved)
-    return carried
-
-
-def _edges(controls: Controls) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Both directions of the edges between controls near each other inside the shape."""
-    near = np.argsort(controls.geodesic, axis=1)[:, 1 : EDGES + 1]
-    first = np.repeat(np.arange(len(near)), EDGES)
+def _edges(
+    points: Points, near: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Both directions of the edges between neighbours, and their weights."""
+    first = np.repeat(np.arange(len(near)), near.shape[1])
     pairs = np.stack([first, near.ravel()], axis=1)
     pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
-    weight = 1 / np.maximum(controls.geodesic[pairs[:, 0], pairs[:, 1]], 1e-3)
-    return pairs[:, 0], pairs[:, 1], weight / weight.mean()
-
-
-def _spread(positions: Points, source: Controls, target: Controls) -> Points:
-    """Where positions that are nearly right belong: the nearest transport to the target."""
-    cost = scipy.spatial.distance.cdist(positions, target.points, "sqeuclidean")
-    plan = ot.emd(source.weights, target.weights, cost)
-    return images_of(plan, target)
+    i, j = pairs.T
+    weight = 1 / np.maximum(np.linalg.norm(points[i] - points[j], axis=1), 1e-3)
+    return i, j, weight / weight.mean()

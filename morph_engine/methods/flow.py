@@ -50,7 +50,7 @@ STEPS = 4
 """Time steps per frame to which the gain and the firmness of the surface refer."""
 
 TENSION = 1.0
-"""Surface tension where none is asked for and parts are not carried to like parts [dx]."""
+"""Surface tension where none is asked for and parts are not carried [dx]."""
 
 SETTLING_BEGINS = 0.985
 """Share of the way from which particles spread more evenly."""
@@ -92,8 +92,8 @@ class FlowOptions(MpmOptions):
     steps_per_frame: int = Field(4, ge=1, le=200, description="Time steps per frame, at least.")
     like_parts: Literal["auto", "on", "off"] = Field(
         "auto",
-        description="Carry parts of the source to like parts of the target; auto: where the "
-        "geodesic distances of the best matching agree.",
+        description="Carry parts of the source to like parts of the target; auto: where the source "
+        "so carried meets the target.",
     )
     landmarks: tuple[Landmark, ...] = Field(
         (), max_length=64, description="Points of the source that end at points of the target."
@@ -106,8 +106,8 @@ class FlowOptions(MpmOptions):
     )
     tension: NonNegative | None = Field(
         None,
-        description="Surface tension: the body is rounded by this half-way [dx]; none: 1, and 0 "
-        "where parts are carried to like parts.",
+        description="Surface tension: the body is rounded by this half-way [dx]; none: 0, and 1 "
+        "where parts are not carried.",
     )
     depth: float = Field(0.35, description="Particles stay this far inside the surface [h].")
     momentum: Fraction = Field(0.0, description="Share of velocity that is left after a frame.")
@@ -299,7 +299,7 @@ class Flow(MpmMethod[FlowOptions]):
 
     @property
     def _tension(self) -> float:
-        """How far the body is rounded half-way [dx]: shapes with like parts keep theirs."""
+        """How far the body is rounded half-way [dx]: one that is carried keeps its form."""
         if self.options.tension is None:
             return 0.0 if self._like_parts.warp else TENSION
         return self.options.tension

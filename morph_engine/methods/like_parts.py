@@ -5,30 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import flow, kept_results
+from morph_engine.blas_threads import one_blas_thread
 from morph_engine.errors import ConfigError
 from morph_engine.methods.method import Problem
 from morph_engine.optimization.watchdog import Event
 from morph_engine.sections import Section, Vector
 
-threadpoolctl: Any = lazy.load("threadpoolctl")
-
-LARGEST_DISTORTION = 0.15
-"""Geodesic distortion below which two shapes are taken to have like parts."""
-
-LANDMARK_REACH = 1.0
-"""Landmarks lie at most so far from the matter of their shape, and lead what is so near [dx]."""
+LARGEST_MISMATCH = 1.0
+"""Mismatch below which a source is taken to have been carried to its target."""
 
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
-ENDS = ("source", "target")
-"""Of a correspondence."""
+LANDMARK_REACH = 1.0
+"""Landmarks lie at most so far from the matter of their shape, and lead what is so near [dx]."""
 
 
 class Landmark(Section):
@@ -44,7 +39,7 @@ class LikeParts:
 
     Args:
         problem: The two shapes.
-        choice: Whether parts are carried; `auto`: where the best matching distorts little.
+        choice: Whether parts are carried; `auto`: where the target is met by that.
         landmarks: Points that are met at the end; with any, parts are carried.
 
     Attributes:
@@ -62,15 +57,16 @@ class LikeParts:
     ) -> None:
         self._problem = problem
         self._landmarks = landmarks
-        self._found = self._match() if choice != "off" or landmarks else None
-        source = problem.source.astype(np.float64)
+        self._found: flow.Registration | None = None
         self.warp: flow.Warp | None = None
-        if self._found and (
-            choice == "on" or landmarks or self._found.distortion < LARGEST_DISTORTION
-        ):
-            self.warp = flow.Warp(self._found)
-            self._followed = self.warp.follow(source)
-            self._held = self._closeness(source)
+        if choice != "off" or landmarks:
+            with one_blas_thread():
+                controls, _, self._found = self._register()
+            if choice == "on" or landmarks or self._found.mismatch < LARGEST_MISMATCH:
+                source = problem.source.astype(np.float64)
+                self.warp = flow.Warp(controls, self._found)
+                self._followed = self.warp.follow(source)
+                self._held = self._closeness(source)
         self._carried_share = -1.0
 
     def decisions(self) -> list[Event]:
@@ -79,11 +75,12 @@ class LikeParts:
         if found is None:
             return []
         message = (
-            f"Parts are {'' if self.warp else 'not '}carried to like parts: matched geodesic "
-            f"distances differ by {found.distortion:.1%} of their mean."
+            f"Parts are {'' if self.warp else 'not '}carried to where they belong: the carried "
+            f"source departs from the target by {found.mismatch:.2f} distances between controls, "
+            f"with a strain of {found.strain:.2f}."
         )
-        data = {"distortion": found.distortion, "plain_distortion": found.plain_distortion}
-        return [Event(0, "correspondence", message, data)]
+        data = {"mismatch": found.mismatch, "strain": found.strain}
+        return [Event(0, "registration", message, data)]
 
     def step(
         self, positions: NDArray[np.floating[Any]], share: float, next_share: float
@@ -117,60 +114,49 @@ class LikeParts:
         close: NDArray[np.float64] = np.exp(-((distance / LANDMARK_REACH) ** 2))
         return close
 
-    def _match(self) -> flow.Correspondence:
+    def _register(self) -> tuple[flow.Controls, flow.Controls, flow.Registration]:
+        """Controls of both shapes, and where those of the source belong."""
         problem, marks = self._problem, self._landmarks
-        placed = (
-            _placed([mark.source for mark in marks], problem.source_to_grid, problem.source),
-            _placed([mark.target for mark in marks], problem.target_to_grid, problem.target),
-        )
-        found = kept_results.kept(
-            "correspondence",
-            (problem.source, problem.target, problem.config.spacing, *placed),
-            lambda: _arrays(self._match_anew(*placed)),
-        )
-        return _correspondence(found)
-
-    def _match_anew(
-        self, source_marks: NDArray[np.float64], target_marks: NDArray[np.float64]
-    ) -> flow.Correspondence:
-        """Like parts of the shapes, given where their landmarks are [dx], each shape [k, 3]."""
         source, target = (
-            flow.sample_controls(points.astype(np.float64), self._problem.config.spacing, marks)
-            for points, marks in (
-                (self._problem.source, source_marks),
-                (self._problem.target, target_marks),
+            self._controls(points, _placed([getattr(mark, end) for mark in marks], to_grid, points))
+            for end, points, to_grid in (
+                ("source", problem.source, problem.source_to_grid),
+                ("target", problem.target, problem.target_to_grid),
             )
         )
-        with threadpoolctl.threadpool_limits(1, "blas"):  # matrices are small: threads only wait
-            return flow.match(source, target)
-
-
-def _arrays(found: flow.Correspondence) -> kept_results.Arrays:
-    """A correspondence as arrays by name."""
-    ends = {
-        f"{end}_{name}": value for end in ENDS for name, value in vars(getattr(found, end)).items()
-    }
-    numbers = {"plan": found.plan, "distortion": found.distortion}
-    return {
-        name: np.asarray(value)
-        for name, value in (ends | numbers | {"plain_distortion": found.plain_distortion}).items()
-    }
-
-
-def _correspondence(arrays: kept_results.Arrays) -> flow.Correspondence:
-    """The correspondence of which `_arrays` has made arrays."""
-    source, target = (
-        flow.Controls(
-            points=arrays[f"{end}_points"],
-            weights=arrays[f"{end}_weights"],
-            geodesic=arrays[f"{end}_geodesic"],
-            scale=float(arrays[f"{end}_scale"]),
-            landmark_count=int(arrays[f"{end}_landmark_count"]),
+        growth = (len(problem.target) / len(problem.source)) ** (1 / 3)
+        arrays = kept_results.kept(
+            "registration",
+            (*vars(source).values(), *vars(target).values(), growth),
+            lambda: _arrays(flow.register(source, target, growth)),
         )
-        for end in ENDS
-    )
-    distortions = float(arrays["distortion"]), float(arrays["plain_distortion"])
-    return flow.Correspondence(source, target, arrays["plan"], *distortions)
+        found = flow.Registration(
+            arrays["images"], float(arrays["mismatch"]), float(arrays["strain"])
+        )
+        return source, target, found
+
+    def _controls(
+        self, points: NDArray[np.float32], landmarks: NDArray[np.float64]
+    ) -> flow.Controls:
+        """Controls of a shape, given where its landmarks are [dx], shape [k, 3]."""
+        spacing = self._problem.config.spacing
+        arrays = kept_results.kept(
+            "controls",
+            (points, spacing, landmarks),
+            lambda: _arrays(flow.sample_controls(points.astype(np.float64), spacing, landmarks)),
+        )
+        return flow.Controls(
+            arrays["points"],
+            arrays["form"],
+            arrays["weights"],
+            int(arrays["piece_count"]),
+            int(arrays["landmark_count"]),
+        )
+
+
+def _arrays(found: flow.Controls | flow.Registration) -> kept_results.Arrays:
+    """What was found, as arrays by name."""
+    return {name: np.asarray(value) for name, value in vars(found).items()}
 
 
 def _placed(

@@ -112,5 +112,5 @@ def test_a_run_is_the_same_to_the_last_bit(folder: Path) -> None:
     for _ in range(2):
         np.testing.assert_array_equal(positions(), alone)
     assert {file.name.partition("-")[0] for file in folder.iterdir()} == {
-        "shape", "filling", "distance", "correspondence",
+        "shape", "filling", "distance", "controls", "registration",
     }  # fmt: skip
