@@ -110,7 +110,7 @@ class BallCounts:
         )
         if not self.possible:
             return
-        key = (block[:, 0] * blocks[1] + block[:, 1]) * blocks[2] + block[:, 2]
+        key = ((block[:, 0] * blocks[1] + block[:, 1]) * blocks[2] + block[:, 2]).astype(np.int32)
         self._order = np.argsort(key)
         key = key[self._order]
         begin = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
