@@ -60,11 +60,9 @@ class Blend:
         self._reach = reach
         distances = source, target
         self._outer: list[Field] = [compressed(distance, reach) for distance in distances]
-        depths = [np.minimum(distance, 0) / np.float32(SKIN * step) for distance in distances]
-        self._inner: list[Field] = [np.expm1(-np.square(depth)) for depth in depths]
+        self._inner: list[Field] = [inner(distance, SKIN * step) for distance in distances]
         if raised is None:
-            first, last = self._ends(1.0)
-            raised = waiting(source, target, first, last, step)
+            raised = waiting(source, target, *self._ends(1.0), step)
         self._raised = raised
         self._limbs = limbs_of(source, step, tension) if tension else None
 
@@ -106,6 +104,12 @@ def rounded(level: Field, width: float) -> Field:
     near = np.minimum(level, np.float32(FARTHEST))
     smooth: Field = scipy.ndimage.gaussian_filter(near, width, mode="nearest", truncate=3.0)
     return smooth
+
+
+def inner(distance: Field, width: float) -> Field:
+    """What K is multiplied by inside: 0 at the surface, towards -1 beyond some depth [dx]."""
+    depth = np.minimum(distance, 0) / np.float32(width)
+    return np.expm1(-np.square(depth))
 
 
 def compressed(distance: Field, reach: float) -> Field:
