@@ -143,6 +143,11 @@ def active() -> Backend:
     return _active or start()
 
 
+def runs_on_cpu() -> bool:
+    """Whether Taichi runs by now, and on the CPU."""
+    return _active is not None and _active.on_cpu
+
+
 def available_devices() -> tuple[str, ...]:
     """Devices that Taichi can start on this machine, best first."""
     return tuple(name for name in ("cuda", "metal", "vulkan", "cpu") if _is_available(name))

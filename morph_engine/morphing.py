@@ -40,7 +40,7 @@ from morph_engine.machine_memory import free_memory
 from morph_engine.memory_return import return_free_memory
 from morph_engine.methods import FrameOutcome, Method, Problem
 from morph_engine.metrics.chamfer import chamfer_metrics
-from morph_engine.metrics.deformation import deformation_metrics, determinants
+from morph_engine.metrics.deformation import determinant_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.watchdog import Event
 from morph_engine.presets import configure
@@ -407,14 +407,17 @@ def _written_frames(
         return frame
 
     with ThreadPoolExecutor(1, "writing") as writer:
-        if first := next(states, None):
-            yield write(*first)
+        if state := next(states, None):
+            frame = write(*state)
+            del state  # so that its arrays go
+            yield frame
         written: Future[Frame] | None = None
         try:
             for state in states:
                 if written:
                     yield written.result()
                 written = writer.submit(write, *state)
+                del state  # so that its arrays go when they are written
         except SimulationError:
             if written:
                 yield written.result()
@@ -425,7 +428,9 @@ def _written_frames(
 
 def _copied(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Arrays that stay as they are while the method goes on."""
-    return {name: np.array(array) for name, array in arrays.items()}
+    return {
+        name: np.array(array) if array.flags.writeable else array for name, array in arrays.items()
+    }
 
 
 def _computed_frames(
@@ -445,6 +450,12 @@ def _computed_frames(
             wall, cpu = time.perf_counter(), time.process_time()
             outcome = leg.advance(method, index)
             metrics = _measure(outcome, record, threads)
+            det_f = None
+            if outcome.deformation is not None:
+                det = determinants(outcome.deformation)
+                metrics |= determinant_metrics(det)
+                det_f = det.astype(np.float32)
+                del det
             observed = stopping.observe(index, metrics["s2t"])
             events = [
                 *(_placed(leg.whole) if leg.first + index == 0 else ()),
@@ -464,9 +475,10 @@ def _computed_frames(
                 events=tuple(events),
                 seconds=time.perf_counter() - wall,
                 cpu_seconds=time.process_time() - cpu,
-                det_f=_det_f(outcome),
+                det_f=det_f,
                 leg=leg.index,
             )
+        del outcome
         yield frame
 
 
@@ -491,12 +503,6 @@ def _placed(record: RunRecord) -> list[Event]:
     return [Event(0, "placement", message, data) for message in placement.messages]
 
 
-def _det_f(outcome: FrameOutcome) -> NDArray[np.float32] | None:
-    if outcome.deformation is None:
-        return None
-    return determinants(outcome.deformation).astype(np.float32)
-
-
 def _max_move(before: NDArray[np.float32], after: NDArray[np.float32]) -> float:
     """The farthest that a particle has moved [dx]; inf if one is lost."""
     squared = np.sum((after.astype(np.float64) - before) ** 2, axis=1)
@@ -518,8 +524,6 @@ def _measure(outcome: FrameOutcome, record: RunRecord, threads: int) -> dict[str
         gap=outcome.gap,
         workers=_workers(threads),
     )
-    if outcome.deformation is not None:
-        metrics |= deformation_metrics(outcome.deformation)
     return metrics
 
 

@@ -121,7 +121,9 @@ class BodyPath:
             box = _bounding_box(np.minimum(source, target) < 0, margin=4)
             first, last = (np.ascontiguousarray(end[box]) for end in (source, target))
             blend = Blend(first, last, self._step, reach=reach, tension=tension)
-            shares = _even_shares(blend.coarser())
+            coarse = [np.ascontiguousarray(end[::2, ::2, ::2]) for end in (first, last)]
+            inside = [int(np.count_nonzero(distance < 0)) for distance in coarse]
+            shares = _even_shares(blend.coarser(*coarse), *inside)
             self._blended = lambda share: blend.at(_interpolated(shares, share))
             self.corner = np.array([along.start for along in box])
             self.size = np.array([along.stop - along.start for along in box])
@@ -152,15 +154,20 @@ class BodyPath:
 
     def _as_distance(self, level: Field) -> Field:
         """Divide the level by its slope."""
-        slope = np.sqrt(sum(along**2 for along in np.gradient(level, self._step)))
-        distance: Field = level / np.maximum(slope, np.float32(LEAST_SLOPE))
-        return distance
+        slope: Field = np.zeros_like(level)
+        for axis in range(3):
+            along = np.gradient(level, self._step, axis=axis)
+            slope += np.square(along, out=along)
+        np.sqrt(slope, out=slope)
+        np.maximum(slope, np.float32(LEAST_SLOPE), out=slope)
+        return np.divide(level, slope, out=slope)
 
     def _without_threads(self, level: Field) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
         indicator, box = self._smoothed(level)
         kept = _dilated(indicator > THREAD, REFINEMENT + 1)
-        level[box] = np.where(kept, level[box], np.maximum(level[box], self._step))
+        within = level[box]
+        np.maximum(within, self._step, out=within, where=~kept)
         return level
 
     def _without_pieces(self, level: Field) -> Field:
@@ -184,12 +191,15 @@ class BodyPath:
         cells = refined(_distance_to_others(outside))
         dx = np.float32(self._grid.dx)
         far = (cells > 1.5) & (level > 0)
-        return np.where(far, dx * cells, np.minimum(level, 1.5 * dx))
+        cells *= dx
+        np.minimum(level, 1.5 * dx, out=cells, where=~far)
+        return cells
 
     def _smoothed(self, level: Field) -> tuple[Field, Box]:
         """Indicator of the body as quadratic B-splines see it, in a box, and the box."""
         box = _bounding_box(level < self._grid.dx, margin=1)
-        indicator = np.clip(0.5 - level[box] / self._step, 0, 1)
+        indicator = level[box] / self._step
+        np.clip(np.subtract(0.5, indicator, out=indicator), 0, 1, out=indicator)
         for axis in range(3):
             indicator = scipy.ndimage.convolve1d(indicator, SPLINE, axis=axis, mode="constant")
         return indicator, box
@@ -215,9 +225,11 @@ def _carried(carrier: Carrier, width: float) -> Callable[[float], Field]:
     return blended
 
 
-def _even_shares(blend: Blend) -> NDArray[np.float64]:
-    """Shares of a blend between which the body changes by equal volumes, evenly spaced."""
-    first, last = blend.inside()
+def _even_shares(blend: Blend, first: int, last: int) -> NDArray[np.float64]:
+    """Shares of a blend between which the body changes by equal volumes, evenly spaced.
+
+    So many points of the lattice are inside the first shape, and inside the last one.
+    """
     shares = np.linspace(0, 1, SAMPLES)
     change, before = np.zeros(SAMPLES), blend.at(0.0) < 0
     for i, share in enumerate(shares[1:], start=1):
@@ -239,11 +251,12 @@ def refined(field: Field) -> Field:
     finer = field.astype(np.float64)
     for axis in range(3):
         coarse = np.moveaxis(finer, axis, 0)
-        finer = np.empty((2 * len(coarse) - 1, *coarse.shape[1:]))
+        kind = np.float32 if axis == 2 else np.float64
+        finer = np.empty((2 * len(coarse) - 1, *coarse.shape[1:]), kind)
         finer[::2] = coarse
         finer[1::2] = (coarse[:-1] + coarse[1:]) / 2
         finer = np.moveaxis(finer, 0, axis)
-    return finer.astype(np.float32)
+    return np.ascontiguousarray(finer, np.float32)
 
 
 def _dilated(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:

@@ -57,14 +57,12 @@ class Blend:
     ) -> None:
         self.step = step
         self.tension = tension
-        self._distances = source, target
         self._reach = reach
-        self._outer: list[Field] = [compressed(distance, reach) for distance in self._distances]
-        depths = [np.minimum(distance, 0) / np.float32(SKIN * step) for distance in self._distances]
-        self._inner: list[Field] = [np.expm1(-np.square(depth)) for depth in depths]
+        distances = source, target
+        self._outer: list[Field] = [compressed(distance, reach) for distance in distances]
+        self._inner: list[Field] = [inner(distance, SKIN * step) for distance in distances]
         if raised is None:
-            first, last = self._ends(1.0)
-            raised = waiting(source, target, first, last, step)
+            raised = waiting(source, target, *self._ends(1.0), step)
         self._raised = raised
         self._limbs = limbs_of(source, step, tension) if tension else None
 
@@ -72,34 +70,33 @@ class Blend:
         """The level after a share of the way; its zero set is not at the scheduled volume yet."""
         s = np.float32(share)
         between = min(1.0, share * (1 - share) / PURE)
-        first, last = self._ends(between)
-        level = ((1 - s) * first + s * last + np.float32(between) * self._raised).astype(np.float32)
+        level, last = self._ends(between)
+        level *= 1 - s
+        last *= s
+        level += last
+        np.multiply(self._raised, np.float32(between), out=last)
+        level += last
         if self._limbs is None or not 0 < share < 1:
             return level
         width = 4 * share * (1 - share) * self.tension
         smooth = rounded(level, width / self.step)
-        return np.where(self._limbs, np.minimum(smooth, level), smooth)
+        np.minimum(smooth, level, out=smooth, where=self._limbs)
+        return smooth
 
     def _ends(self, limbs: float) -> tuple[Field, Field]:
         """f of both distances, with K over its full size."""
         weight = np.float32(limbs * LIMB)
-        first: Field = self._outer[0] + weight * self._inner[0]
-        last: Field = self._outer[1] + weight * self._inner[1]
+        first, last = (weight * inner for inner in self._inner)
+        first += self._outer[0]
+        last += self._outer[1]
         return first, last
 
-    def coarser(self) -> Blend:
+    def coarser(self, source: Field, target: Field) -> Blend:
         """The same between shapes given at every second point of the lattice."""
-        source, target, raised = (
-            np.ascontiguousarray(field[::2, ::2, ::2]) for field in (*self._distances, self._raised)
-        )
+        raised = np.ascontiguousarray(self._raised[::2, ::2, ::2])
         return Blend(
             source, target, 2 * self.step, reach=self._reach, tension=self.tension, raised=raised
         )
-
-    def inside(self) -> tuple[int, int]:
-        """Number of lattice points inside either shape."""
-        first, last = (int(np.count_nonzero(distance < 0)) for distance in self._distances)
-        return first, last
 
 
 def rounded(level: Field, width: float) -> Field:
@@ -107,6 +104,12 @@ def rounded(level: Field, width: float) -> Field:
     near = np.minimum(level, np.float32(FARTHEST))
     smooth: Field = scipy.ndimage.gaussian_filter(near, width, mode="nearest", truncate=3.0)
     return smooth
+
+
+def inner(distance: Field, width: float) -> Field:
+    """What K is multiplied by inside: 0 at the surface, towards -1 beyond some depth [dx]."""
+    depth = np.minimum(distance, 0) / np.float32(width)
+    return np.expm1(-np.square(depth))
 
 
 def compressed(distance: Field, reach: float) -> Field:

@@ -119,5 +119,6 @@ def _largest_piece(mask: Mask) -> Mask:
 
 
 def _distance_to(mask: Mask, step: float) -> Field:
-    distance: Field = step * scipy.ndimage.distance_transform_edt(~mask)
+    distance: Field = scipy.ndimage.distance_transform_edt(~mask)
+    distance *= step
     return distance

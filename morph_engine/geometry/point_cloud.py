@@ -29,7 +29,10 @@ def finite_points(positions: npt.ArrayLike) -> tuple[Points, npt.NDArray[np.bool
             f"A point cloud has shape {list(points.shape)}.",
             "Pass one row of x, y, z per point, shape [n, 3].",
         )
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.isfinite(points)
+    if finite.all():
+        return points.astype(np.float64), np.ones(len(points), np.bool_)
+    finite = finite.all(axis=1)
     return points[finite].astype(np.float64), finite
 
 

@@ -234,7 +234,7 @@ class Flow(MpmMethod[FlowOptions]):
             events.append(restarted(frame, self._frame_seconds / steps, names))
         before, place = self._particles.x, mpm.inverse_order(order)
         last = self._simulation.layers[0]
-        self._particles = last.download().scaled(self._edge).permuted(place)
+        self._particles = last.download(place).scaled(self._edge)
         self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[place, None, None]
         self._match(frame)
         self._path_length += float(np.linalg.norm(self._particles.x - before, axis=1).mean())
@@ -358,7 +358,7 @@ class Flow(MpmMethod[FlowOptions]):
     def _flow(self, order: NDArray[np.intp], steps: int, share: float, next_share: float) -> int:
         """Make the time steps of a frame from the state kept; returns fault bits."""
         simulation, options = self._simulation, self.options
-        simulation.layers[0].upload(self._particles.permuted(order).scaled(1 / self._edge))
+        simulation.layers[0].upload(self._particles.scaled(1 / self._edge), order)
         simulation.dt = self._frame_seconds / steps
         simulation.material = self._material(simulation.dt)
         simulation.clear_faults()

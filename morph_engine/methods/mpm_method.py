@@ -68,9 +68,15 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
         self._matches = losses.Matches(device.upload(problem.target), device.upload(problem.source))
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Positions, velocities, affine velocities and deformation gradients."""
+        """Positions, velocities, affine velocities and deformation gradients.
+
+        They stay as they are: a frame makes new ones.
+        """
         p = self._particles
-        return {"x": p.x, "v": p.v, "C": p.C, "F": p.F}
+        state = {"x": p.x, "v": p.v, "C": p.C, "F": p.F}
+        for array in state.values():
+            array.flags.writeable = False
+        return state
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take up a state that `state` returned."""
@@ -111,7 +117,7 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
 
     def _keep(self, layer: Layer, order: NDArray[np.intp]) -> None:
         """Take the state that a frame has ended with, whose particles are in this order."""
-        self._particles = layer.download().permuted(mpm.inverse_order(order))
+        self._particles = layer.download(mpm.inverse_order(order))
 
     def _outcome(
         self, order: NDArray[np.intp], numbers: dict[str, float], events: tuple[Event, ...] = ()

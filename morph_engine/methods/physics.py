@@ -105,7 +105,7 @@ class ControlMethod(MpmMethod[ControlOptionsT], Generic[ControlOptionsT]):
         order = self._cell_order()
         simulation.volume.from_numpy(self._rest_volume[order])
         first, last = simulation.layers[0], simulation.last
-        first.upload(self._particles.permuted(order))
+        first.upload(self._particles, order)
         self._matches.rebuild(first.x)
         self._matches.update(first.x)
         distance = two_sided(*self._matches.distances())

@@ -95,7 +95,7 @@ class Transport(MpmMethod[TransportOptions]):
         begin = device.upload(self.problem.source[order])
         destination = device.upload(goal[order])
         corrected = device.scalars(len(order))
-        simulation.layers[0].upload(self._particles.permuted(order))
+        simulation.layers[0].upload(self._particles, order)
         steps = self._steps_per_frame(goal)
         simulation.dt = self._frame_seconds / steps
         limit = options.correction * self.problem.config.spacing

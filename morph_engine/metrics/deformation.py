@@ -35,7 +35,11 @@ def deformation_metrics(deformation: npt.ArrayLike) -> dict[str, float]:
     Raises:
         ValueError: The shape is not [n, 3, 3] with n > 0.
     """
-    det = determinants(deformation)
+    return determinant_metrics(determinants(deformation))
+
+
+def determinant_metrics(det: Points) -> dict[str, float]:
+    """What `deformation_metrics` returns, of det F of each particle [ratio], shape [n]."""
     known = np.isfinite(det)
     return {
         "det_f_min": float(np.where(known, det, -np.inf).min()),

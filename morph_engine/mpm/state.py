@@ -60,15 +60,21 @@ class Layer:
         self.C = device.matrices(particle_count)
         self.F = device.matrices(particle_count)
 
-    def upload(self, particles: Particles) -> None:
-        """Copy a host state to the device."""
+    def upload(self, particles: Particles, order: NDArray[np.intp] | None = None) -> None:
+        """Copy a host state to the device, in another order if one is given."""
         real = backend.active().numpy_real
         for name in ("x", "v", "C", "F"):
-            getattr(self, name).from_numpy(np.ascontiguousarray(getattr(particles, name), real))
+            values = getattr(particles, name)
+            if order is not None:
+                values = np.take(values, order, axis=0)
+            getattr(self, name).from_numpy(np.ascontiguousarray(values, real))
 
-    def download(self) -> "Particles":
-        """Copy the state to the host."""
-        return Particles(self.x.to_numpy(), self.v.to_numpy(), self.C.to_numpy(), self.F.to_numpy())
+    def download(self, order: NDArray[np.intp] | None = None) -> "Particles":
+        """Copy the state to the host, in another order if one is given."""
+        arrays = (array.to_numpy() for array in (self.x, self.v, self.C, self.F))
+        if order is None:
+            return Particles(*arrays)
+        return Particles(*(np.take(array, order, axis=0) for array in arrays))
 
     def clear(self) -> None:
         """Set everything to zero."""

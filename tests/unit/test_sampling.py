@@ -79,6 +79,29 @@ def test_holes_and_overlaps_have_an_inside():
     assert inside(overlapping, [[1, 0, 0]]).all()
 
 
+def holed_ball():
+    """A ball without a cap of its surface, and without a triangle elsewhere."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=6)
+    kept = ball.triangles_center[:, 2] < 5
+    kept[0] = False
+    return make_mesh(ball.vertices, ball.faces[kept], name="holed")
+
+
+@pytest.mark.parametrize("name", ["torus", "text:g%", "holed", "soup"])
+def test_cells_give_the_inside_of_their_points(name, monkeypatch):
+    """Points that share a winding number with others are where they are by their own."""
+    if name == "soup":  # of triangles that share no edge
+        star = make("star")
+        corners = star.vertices[star.faces].reshape(-1, 3)
+        mesh = make_mesh(corners, np.arange(len(corners)).reshape(-1, 3), name="soup")
+    else:
+        mesh = holed_ball() if name == "holed" else make(name)
+    points = np.random.default_rng(0).uniform(*mesh.bounds, (40_000, 3))
+    each = inside(mesh, points)
+    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_IN_CELLS", 1)
+    np.testing.assert_array_equal(inside(mesh, points), each)
+
+
 @needs_meshes
 @pytest.mark.parametrize(
     ("name", "count"),
