@@ -92,6 +92,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         _send("failed", problem.model_dump())
     finally:
         lock.close()
+    backend.end()  # so that kernels are compiled once, and not by every engine
     os._exit(0)  # all is on the disk, and the worker waits for the end
 
 
