@@ -7,7 +7,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
-from morph_engine import backend
+from morph_engine import backend, pot
 from morph_engine.code_digest import code_digest
 from morph_engine.config import MorphConfig
 from morph_engine.errors import MorphError
@@ -18,7 +18,7 @@ from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 
 LIBRARIES = (
-    "h5py", "igl", "ot.gromov", "scipy.interpolate", "scipy.ndimage", "scipy.sparse.csgraph",
+    "h5py", "igl", "scipy.interpolate", "scipy.ndimage", "scipy.sparse.csgraph",
     "scipy.spatial.transform", "threadpoolctl", "trimesh.creation",
 )  # fmt: skip
 """Libraries that the engine imports when it first needs them."""
@@ -50,6 +50,9 @@ def warm_up(threads: int, method: str | None = None, extent: int | None = None) 
     yield
     for name in LIBRARIES:
         import_module(name)
+        yield
+    if method in (None, DEFAULT_METHOD):  # which alone looks for like parts
+        pot.load()
         yield
     backend.start("auto", threads=threads)
     yield

@@ -17,18 +17,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from morph_engine import pot
 from morph_engine.geometry.point_cloud import farthest_points
-
-ot: Any = lazy.load("ot")
 
 Points = NDArray[np.float64]
 
@@ -145,7 +142,7 @@ def match(source: Controls, target: Controls) -> Correspondence:
     b = (target.points - target.weights @ target.points) / target.scale
     cost = scipy.spatial.distance.cdist(a, b, "sqeuclidean")
     starts = [
-        ot.emd(
+        pot.load().emd(
             source.weights, target.weights, scipy.spatial.distance.cdist(turned, b, "sqeuclidean")
         )
         for turned in (rotation.apply(a) for rotation in Rotation.create_group("O"))
@@ -156,10 +153,10 @@ def match(source: Controls, target: Controls) -> Correspondence:
         alpha = LANDMARK_ALPHA
         to_landmarks = (each.geodesic[:, : each.landmark_count] for each in (source, target))
         cost = scipy.spatial.distance.cdist(*to_landmarks, "sqeuclidean") / source.landmark_count
-        starts.append(ot.emd(source.weights, target.weights, cost))
+        starts.append(pot.load().emd(source.weights, target.weights, cost))
     found: list[tuple[float, int, NDArray[np.float64]]] = []
     for start in starts:
-        plan, log = ot.gromov.fused_gromov_wasserstein(
+        plan, log = pot.load().gromov.fused_gromov_wasserstein(
             cost, source.geodesic, target.geodesic, source.weights, target.weights,
             alpha=alpha, G0=start, log=True, max_iter=ITERATIONS,
         )  # fmt: skip

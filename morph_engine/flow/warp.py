@@ -9,18 +9,15 @@ and the positions are those that fit the turned edges best (Alexa et al. 2000, S
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from morph_engine import pot
 from morph_engine.flow.correspondence import Controls, Correspondence, images_of
-
-ot: Any = lazy.load("ot")
 
 Points = NDArray[np.float64]
 
@@ -192,5 +189,5 @@ def _edges(controls: Controls) -> tuple[NDArray[np.intp], NDArray[np.intp], NDAr
 def _spread(positions: Points, source: Controls, target: Controls) -> Points:
     """Where positions that are nearly right belong: the nearest transport to the target."""
     cost = scipy.spatial.distance.cdist(positions, target.points, "sqeuclidean")
-    plan = ot.emd(source.weights, target.weights, cost)
+    plan = pot.load().emd(source.weights, target.weights, cost)
     return images_of(plan, target)
