@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import time
 from dataclasses import dataclass, field, replace
@@ -91,6 +92,9 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
             on_stage=display.describe,
         )
         for frame in frames:
+            if not gc.isenabled():  # until everything was imported and loaded
+                gc.freeze()
+                gc.enable()
             summary.frames = frame.index + 1
             summary.metrics = frame.metrics
             summary.events += [event.document() for event in frame.events]

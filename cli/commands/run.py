@@ -36,6 +36,7 @@ def run(
     execution: ExecutionOptions,
 ) -> None:
     """Morph SOURCE into TARGET, or through several."""
+    _load_what_runs_need()
     from chamfer_morph.cli import local_run
     from morph_engine import kept_results
     from morph_engine.morphing import prepare
@@ -59,6 +60,7 @@ def rerun(
     execution: ExecutionOptions,
 ) -> None:
     """Repeat a run from its result file alone, and say how far the two end apart."""
+    _load_what_runs_need()
     from chamfer_morph.cli import local_run
     from morph_engine import kept_results
 
@@ -69,3 +71,13 @@ def rerun(
     local_run.report(summary, as_json=execution.as_json, difference=difference)
     if not execution.as_json:
         typer.echo(f"largest difference from {result}: {difference:.3g} grid units")
+
+
+def _load_what_runs_need() -> None:
+    """Import it in less time, and look for no garbage: what is imported and loaded stays."""
+    import gc
+
+    from morph_engine import scipy_loading
+
+    gc.disable()
+    scipy_loading.shorten()

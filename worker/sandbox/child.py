@@ -20,6 +20,7 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.sandbox import landlock
 from chamfer_morph.worker.sandbox.network import leave_network
 from chamfer_morph.worker.sandbox.runner import Answer, Limits
+from morph_engine import scipy_loading
 from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError
 
@@ -45,6 +46,7 @@ def main(module: str) -> None:
         channel.write(to_json(message) + b"\n" + binary)
         channel.flush()
 
+    scipy_loading.shorten()
     function = importlib.import_module(module).run
     for name in ENGINE_IMPORTS:
         importlib.import_module(name)

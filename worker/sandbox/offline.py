@@ -11,11 +11,13 @@ from pathlib import Path
 
 from chamfer_morph.worker.sandbox import landlock
 from chamfer_morph.worker.sandbox.network import leave_network
+from morph_engine import scipy_loading
 
 
 def main() -> None:
     """Leave the network as far as this system lets a process do so, and run the module."""
     leave(Path("/"))
+    scipy_loading.shorten()
     del sys.argv[0]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 
