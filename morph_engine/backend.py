@@ -15,8 +15,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import os
+import time
 from ctypes.util import find_library
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import lazy_loader as lazy
@@ -35,6 +38,10 @@ Precision = Literal["float32", "float64"]
 # Taichi 1.7 runs a CPU loop of up to 512 iterations on one thread, so chunk c is iteration c * 512.
 CPU_CHUNK_STRIDE = 512
 CPU_CHUNK_COUNT = 8
+
+LOCK_SECONDS = 60.0
+"""Taichi locks its offline cache for a fraction of a second; a lock this old is of a dead process,
+and nothing would be read from the cache any more, nor written to it."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,7 @@ def start(
         )
     array_lifetimes.begin_program()
     kernel_launching.forget()
+    _remove_old_lock(kernel_folder())
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
         ti.init(
@@ -136,6 +144,19 @@ def start(
     kernel_launching.shorten()
     _active = wanted
     return wanted
+
+
+def end() -> None:
+    """End Taichi, if it runs, which then writes the kernels that it has compiled to its cache.
+
+    For processes that end at once; it invalidates every device array.
+    """
+    global _active
+    if _active:
+        _active = None
+        array_lifetimes.begin_program()
+        kernel_launching.forget()
+        ti.reset()
 
 
 def active() -> Backend:
@@ -159,6 +180,20 @@ def _is_available(name: str) -> bool:
     if name == "cuda" and find_library("cuda") is None:
         return False
     return bool(ti.lang.misc.is_arch_supported(getattr(ti, name)))
+
+
+def kernel_folder() -> Path:
+    """Where Taichi keeps compiled kernels between processes."""
+    named = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH")
+    return Path(named or ti.lang.impl.default_cfg().offline_cache_file_path)
+
+
+def _remove_old_lock(cache: Path) -> None:
+    """Unlock a cache that a process has locked and never unlocked, as it was killed."""
+    lock = cache / "ticache.lock"
+    with contextlib.suppress(OSError):
+        if time.time() - lock.stat().st_mtime > LOCK_SECONDS:
+            lock.unlink()
 
 
 def _choose(device: str) -> str:

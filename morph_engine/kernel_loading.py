@@ -4,7 +4,8 @@ Taichi 1.7 translates the syntax tree of a kernel whenever a process first calls
 Most of that time goes to the source lines that an error at each node would show. And for each
 decorator it searches all loaded modules for a line of source, which imports each of them that was
 to be imported when first used. Here errors name file, line and function, and the line is read from
-the file that the frame itself names. A function that many kernels call is looked up once.
+the file that the frame itself names. A function that many kernels call is looked up once, and its
+lines are laid out once.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import linecache
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 
@@ -40,6 +42,11 @@ def shorten() -> None:
         look_up = getattr(kernel_impl, name, None)
         if look_up and not hasattr(look_up, "cache_info"):
             setattr(kernel_impl, name, functools.cache(look_up))
+    wrapping: Any = getattr(kernel_impl, "textwrap", None)
+    if hasattr(wrapping, "fill") and hasattr(wrapping, "dedent"):
+        kernel_impl.textwrap = SimpleNamespace(
+            fill=functools.cache(wrapping.fill), dedent=functools.cache(wrapping.dedent)
+        )
 
 
 _LEVEL = "level_of_class_stackframe"

@@ -12,6 +12,7 @@ first.
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import select
@@ -63,7 +64,11 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
     kept_results.keep_in(kept_in)
     jobs: Queue[dict[str, Any]] = Queue()
     threading.Thread(target=_watch_worker, args=(jobs,), daemon=True).start()
-    if all(jobs.empty() for _ in warm_up(threads, **likely)):
+    gc.disable()  # what is imported and loaded stays
+    is_ready = all(jobs.empty() for _ in warm_up(threads, **likely))
+    gc.freeze()
+    gc.enable()
+    if is_ready:
         _send("ready", {"device": backend.active().device})
     job = jobs.get()
     if job["traced"]:
@@ -92,6 +97,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         _send("failed", problem.model_dump())
     finally:
         lock.close()
+    backend.end()  # so that kernels are compiled once, and not by every engine
     os._exit(0)  # all is on the disk, and the worker waits for the end
 
 

@@ -138,3 +138,25 @@ def test_none_is_kept_where_none_is_wanted(cluster):
     job = cluster.submit(frames=1)
     cluster.wait_for_state(job, JobState.SUCCEEDED)
     assert cluster.spare(worker) is None
+
+
+def test_kernels_are_compiled_once(cluster, tmp_path):
+    """The engine of the first job leaves them for all later ones.
+
+    Taichi's cache is locked here by a process that has died long ago.
+    """
+    kernels = tmp_path / "kernels"
+    kernels.mkdir()
+    lock = kernels / "ticache.lock"
+    lock.touch()
+    os.utime(lock, (0, 0))
+    cluster.environment["TI_OFFLINE_CACHE_FILE_PATH"] = str(kernels)
+    worker = cluster.worker(MORPH_WARM_ENGINES="false")
+    compiled = []
+    for _ in range(2):
+        job = cluster.submit(frames=1)
+        cluster.wait_for_state(job, JobState.SUCCEEDED)
+        cluster.wait_until(lambda: not cluster.engines(worker), "the end of the engine")
+        compiled.append({file.name: file.stat().st_mtime for file in kernels.glob("*.tic")})
+    assert compiled[0] == compiled[1] != {}
+    assert not lock.exists()

@@ -26,14 +26,20 @@ import json
 from morph_engine.code_digest import code_digest
 print(json.dumps({{method: code_digest(method) for method in {METHODS}}}))
 """
+KEEPING = """
+import sys
+from pathlib import Path
+from morph_engine import kept_results
+kept_results.keep_in(Path(sys.argv[1]))
+"""
 
 Digests = dict[str, str]
 
 
-def digests_of(folder: Path) -> Digests:
-    """Digests by method of the engine that lies in a folder."""
+def digests_of(folder: Path, program: str = PROGRAM) -> Digests:
+    """Digests by method of the engine that lies in a folder, which are kept beside it, or not."""
     process = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
+        [sys.executable, "-c", program, str(folder / "kept")],
         env=os.environ | {"PYTHONPATH": str(folder)},
         cwd=folder, capture_output=True, text=True, check=True,
     )  # fmt: skip
@@ -120,6 +126,16 @@ def test_every_function_that_a_run_calls_counts(method):
     of_engine = {path for path in called if path.is_relative_to(PACKAGE)}
     assert len(of_engine) > 10
     assert of_engine <= set(code_files(method).values())
+
+
+def test_kept_digests_are_those_of_the_code(tmp_path: Path):
+    """When they are found, when they are read, and after a change of any file."""
+    shutil.copytree(PACKAGE, tmp_path / "morph_engine", ignore=shutil.ignore_patterns("__p*"))
+    first, second = (digests_of(tmp_path, KEEPING + PROGRAM) for _ in range(2))
+    assert first == second == {method: code_digest(method) for method in METHODS}
+    with (tmp_path / "morph_engine" / "morphing.py").open("a") as file:
+        file.write("CHANGED = 1\n")
+    assert not set(digests_of(tmp_path, KEEPING + PROGRAM).values()) & set(first.values())
 
 
 def test_an_unknown_method_is_refused():

@@ -450,7 +450,7 @@ def test_a_turned_body_is_found_and_turns_rigidly(turned) -> None:
     before, after = (
         np.linalg.norm(p[pairs[:, 0]] - p[pairs[:, 1]], axis=1) for p in (source, half)
     )
-    assert np.sqrt(np.mean((after - before) ** 2)) < 0.12
+    assert np.sqrt(np.mean((after - before) ** 2)) < 0.15
     assert np.abs(after - before).max() < 0.5
 
 
