@@ -24,7 +24,10 @@ from morph_engine.geometry.point_cloud import farthest_points, median_gap
 
 Points = NDArray[np.float64]
 
-CONTROLS = 500
+CONTROLS = 800
+
+ANCHORS = 250
+"""Controls from which geodesic distances are taken, to all others."""
 
 NODE_EDGE = 2.4
 """Edge of the cells whose points are represented by one node of the geodesic graph [h]."""
@@ -41,7 +44,7 @@ LARGE_PIECE = 0.01
 RELAXATIONS = 6
 """Rounds in which controls move to the middle of the matter that is nearest to them."""
 
-ROUNDS = 80
+ROUNDS = 60
 """Of majorisation."""
 
 
@@ -103,10 +106,11 @@ def sample_controls(
     controls = np.concatenate([marks, _spread(nodes, held, count)])
     weights = np.bincount(cKDTree(controls).query(nodes)[1], held, len(controls)) / held.sum()
     at = cKDTree(nodes).query(controls)[1]
-    geodesic = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=at)[:, at]
+    anchors = at[: len(marks) + ANCHORS]  # landmarks, then controls far from each other
+    geodesic = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=anchors)[:, at]
     finite = np.isfinite(geodesic)
     geodesic[~finite] = 2 * geodesic[finite].max()  # of pieces that do not touch
-    geodesic = np.maximum(geodesic, cdist(controls, controls))
+    geodesic = np.maximum(geodesic, cdist(controls[: len(anchors)], controls))
     form = canonical_form(controls, geodesic, weights)
     return Controls(controls, form, weights, int(np.count_nonzero(large)), len(marks))
 
@@ -116,18 +120,20 @@ def canonical_form(points: Points, geodesic: Points, weights: NDArray[np.float64
 
     Args:
         points: Points of the shape [dx], shape [k, 3].
-        geodesic: Distances between them inside the shape [dx], shape [k, k].
+        geodesic: Distances inside the shape from the first of them to all [dx], shape [m, k].
         weights: Share of the matter of each, shape [k], of sum 1.
     """
-    apart = np.maximum(geodesic, 1e-9)
-    stiffness = (weights[:, None] + 1e-3 / len(weights)) * weights / apart
-    stiffness = (stiffness + stiffness.T) / 2
-    np.fill_diagonal(stiffness, 0)
+    first = len(geodesic)
+    some = weights + 1e-3 / len(weights)
+    stiffness = some[:first, None] * some / np.maximum(geodesic, 1e-9)
+    stiffness[:, :first] /= 2  # these are there twice
     inverse = np.linalg.pinv(_laplacian(stiffness), hermitian=True)
     form = points
     for _ in range(ROUNDS):
-        ratio = geodesic / np.maximum(cdist(form, form), 1e-9)
-        form = inverse @ (_laplacian(stiffness * ratio) @ form)
+        pull = stiffness * geodesic / np.maximum(cdist(form[:first], form), 1e-9)
+        pulled = pull.sum(axis=0)[:, None] * form - pull.T @ form[:first]
+        pulled[:first] += pull.sum(axis=1)[:, None] * form[:first] - pull @ form
+        form = inverse @ pulled
     centre = weights @ points
     form = form - weights @ form
     turn, _ = Rotation.align_vectors(points - centre, form, weights=weights)
@@ -136,8 +142,12 @@ def canonical_form(points: Points, geodesic: Points, weights: NDArray[np.float64
 
 
 def _laplacian(weights: Points) -> Points:
-    laplacian: Points = np.diag(weights.sum(axis=1)) - weights
-    return laplacian
+    """Of a graph whose edges from the first of its nodes to all have weights, shape [m, k]."""
+    first, count = weights.shape
+    matrix = np.zeros((count, count))
+    matrix[:first] -= weights
+    matrix[:, :first] -= weights.T
+    return matrix - np.diag(matrix.sum(axis=1))
 
 
 def _spread(nodes: Points, held: NDArray[np.float64], count: int) -> Points:
