@@ -2,7 +2,7 @@
 
 A run passes through stations: the source is station 0, and frame k is station k + 1. Between two of
 them particles move in straight lines. The pace is that of the matter: time goes with the mean
-distance that particles move, so that matter moves evenly however the frames were spaced. It stands
+distance that particles move, so that matter moves evenly however the frames were spaced, but for less than half a picture a leg. It stands
 still at the stops, which are the shapes that the run goes through, if it is to rest there.
 """
 
@@ -31,6 +31,9 @@ OVERSHOOT = 1.2
 
 CLOSING = 0.4
 """Share of the last leg in which particles of a loop take the places of the beginning."""
+
+INSTANT = 1e-9
+"""What rounding may add to a time [s]."""
 
 LEAST_DISTANCE = 1e-9
 """Added to the distance between two stations, so that each has a time of its own [dx]."""
@@ -146,16 +149,18 @@ def moments(
             "Make all longer (`seconds`), or the rests shorter (`hold`).",
         )
     total = sum(abs(travelled[b] - travelled[a]) for a, b in pairwise(visited))
+    count = max(2, round(seconds * timing.fps))
     ease, schedule, clock = _EASINGS[timing.easing], [], 0.0
     for a, b in pairwise(visited):
         begin = clock + timing.hold
         clock = begin + moving * abs(travelled[b] - travelled[a]) / total
         schedule.append((begin, clock, a, b))
-    count = max(2, round(seconds * timing.fps))
+    if not timing.hold:
+        schedule = _on_pictures(schedule, seconds / (count - 1))
     closing = CLOSING if timing.repeat == "loop" else 0.0
     found = []
     for time in np.linspace(0.0, seconds, count):
-        leg = next((i for i, (_, end, _, _) in enumerate(schedule) if time <= end), -1)
+        leg = next((i for i, (_, end, _, _) in enumerate(schedule) if time < end + INSTANT), -1)
         begin, end, a, b = schedule[leg]
         share = ease(float(np.clip((time - begin) / (end - begin), 0, 1)))
         last = b == visited[-1]
@@ -163,6 +168,22 @@ def moments(
     if timing.repeat == "loop":
         found[-1] = found[0]
     return found
+
+
+def _on_pictures(
+    schedule: list[tuple[float, float, int, int]], apart: float
+) -> list[tuple[float, float, int, int]]:
+    """Legs that begin and end with a picture, which so shows the shape there as it is.
+
+    Pictures on either side of a shape from which matter turns back would hardly differ.
+    """
+    places = [0, *(round(end / apart) for _, end, _, _ in schedule)]
+    if any(second <= first for first, second in pairwise(places)):
+        return schedule  # fewer pictures than legs
+    return [
+        (first * apart, second * apart, a, b)
+        for (first, second), (_, _, a, b) in zip(pairwise(places), schedule, strict=True)
+    ]
 
 
 def _steps_between(visited: Sequence[int]) -> int:
