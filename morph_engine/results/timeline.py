@@ -2,8 +2,9 @@
 
 A run passes through stations: the source is station 0, and frame k is station k + 1. Between two of
 them particles move in straight lines. The pace is that of the matter: time goes with the mean
-distance that particles move, so that matter moves evenly however the frames were spaced, but for less than half a picture a leg. It stands
-still at the stops, which are the shapes that the run goes through, if it is to rest there.
+distance that particles move, so that matter moves evenly however the frames were spaced. A picture
+shows each of the stops, the shapes that the run goes through, and matter stands still there if it
+is to rest.
 """
 
 from __future__ import annotations
