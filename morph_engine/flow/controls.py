@@ -11,6 +11,7 @@ form of a straight one, and what lies side by side across a notch is apart.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,9 +137,19 @@ def canonical_form(points: Points, geodesic: Points, weights: NDArray[np.float64
         form = inverse @ pulled
     centre = weights @ points
     form = form - weights @ form
-    turn, _ = Rotation.align_vectors(points - centre, form, weights=weights)
-    placed: Points = turn.apply(form) + centre
+    placed: Points = best_rotation(points - centre, form, weights).apply(form) + centre
     return placed
+
+
+def best_rotation(
+    there: Points, here: Points, weights: NDArray[np.float64] | None = None
+) -> Rotation:
+    """The rotation about the origin that brings points nearest to others, each shape [k, 3]."""
+    if not (there.any() and here.any()):
+        return Rotation.identity()  # a single point
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # points on a line leave a turn free
+        return Rotation.align_vectors(there, here, weights=weights)[0]
 
 
 def _laplacian(weights: Points) -> Points:

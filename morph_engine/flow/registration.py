@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from morph_engine.flow.controls import Controls
+from morph_engine.flow.controls import Controls, best_rotation
 from morph_engine.flow.elastic_cloud import ElasticCloud
 
 Points = NDArray[np.float64]
@@ -64,6 +64,9 @@ FOLLOWED = 8
 
 LEAST_STRETCH = 0.05
 
+FLATNESS = 1e-9
+"""Least second moment of a cloud in any direction, over that in all."""
+
 
 @dataclass(frozen=True, eq=False)
 class Registration:
@@ -99,7 +102,7 @@ class _Cloud:
             here, there = (
                 end.form[:count] - end.weights @ end.form for end in (self.source, self.target)
             )
-            turns.append(Rotation.align_vectors(there, here)[0])
+            turns.append(best_rotation(there, here))
         return turns
 
     def start(self, turn: Rotation) -> Points:
@@ -107,7 +110,7 @@ class _Cloud:
         source, target = self.source, self.target
         turned = turn.apply(source.form - source.weights @ source.form)
         root, other = (
-            scipy.linalg.sqrtm(np.cov(points.T, aweights=weights)).real
+            scipy.linalg.sqrtm(_moments(points, weights)).real
             for points, weights in ((turned, source.weights), (target.form, target.weights))
         )
         inverse = np.linalg.inv(root)
@@ -239,6 +242,13 @@ def transport(
         f = -_log_sum(g + second - cost, axis=1)
     plan = np.exp(f[:, None] + g + second - cost)
     return plan / plan.sum(axis=1, keepdims=True), f * np.float32(scale)
+
+
+def _moments(points: Points, weights: NDArray[np.float64]) -> Points:
+    """Second moments of a cloud, of some size in every direction even where it is flat."""
+    moments = np.cov(points.T, aweights=weights)
+    sized: Points = moments + FLATNESS * np.trace(moments) * np.eye(3)
+    return sized
 
 
 def _log_sum(exponents: Plan, axis: int) -> Plan:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from morph_engine.blas_threads import one_blas_thread
-from morph_engine.flow.controls import Controls
+from morph_engine.flow.controls import Controls, best_rotation
 from morph_engine.flow.elastic_cloud import ElasticCloud
 from morph_engine.flow.registration import Registration
 
@@ -84,9 +84,9 @@ class Warp:
         u[:, :, 2] *= np.sign(np.linalg.det(u @ axes))[:, None]
         self._logarithm = np.log(np.maximum(stretch, LEAST_STRETCH))
         self._axes = axes
-        self._whole = Rotation.align_vectors(
+        self._whole = best_rotation(
             self.end - self.end.mean(axis=0), self.start - self.start.mean(axis=0)
-        )[0]
+        )
         self._rest = self._whole.inv() * Rotation.from_matrix(u @ axes)
         self._remainder = self.end - self._placed(self.affine(1.0), 1.0)
 

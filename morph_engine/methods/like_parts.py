@@ -19,6 +19,9 @@ from morph_engine.sections import Section, Vector
 LARGEST_MISMATCH = 1.0
 """Mismatch below which a source is taken to have been carried to its target."""
 
+LEAST_CONTROLS = 5
+"""Shapes of fewer controls, of some fifty particles, have no parts."""
+
 RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
@@ -61,12 +64,14 @@ class LikeParts:
         self.warp: flow.Warp | None = None
         if choice != "off" or landmarks:
             with one_blas_thread():
-                controls, _, self._found = self._register()
-            if choice == "on" or landmarks or self._found.mismatch < LARGEST_MISMATCH:
-                source = problem.source.astype(np.float64)
-                self.warp = flow.Warp(controls, self._found)
-                self._followed = self.warp.follow(source)
-                self._held = self._closeness(source)
+                controls, target = self._both()
+                if min(len(controls.points), len(target.points)) >= LEAST_CONTROLS:
+                    self._found = self._register(controls, target)
+        if self._found and (choice == "on" or landmarks or self._found.mismatch < LARGEST_MISMATCH):
+            source = problem.source.astype(np.float64)
+            self.warp = flow.Warp(controls, self._found)
+            self._followed = self.warp.follow(source)
+            self._held = self._closeness(source)
         self._carried_share = -1.0
 
     def decisions(self) -> list[Event]:
@@ -114,26 +119,28 @@ class LikeParts:
         close: NDArray[np.float64] = np.exp(-((distance / LANDMARK_REACH) ** 2))
         return close
 
-    def _register(self) -> tuple[flow.Controls, flow.Controls, flow.Registration]:
-        """Controls of both shapes, and where those of the source belong."""
+    def _both(self) -> list[flow.Controls]:
+        """Controls of the source and of the target."""
         problem, marks = self._problem, self._landmarks
-        source, target = (
+        return [
             self._controls(points, _placed([getattr(mark, end) for mark in marks], to_grid, points))
             for end, points, to_grid in (
                 ("source", problem.source, problem.source_to_grid),
                 ("target", problem.target, problem.target_to_grid),
             )
-        )
-        growth = (len(problem.target) / len(problem.source)) ** (1 / 3)
+        ]
+
+    def _register(self, source: flow.Controls, target: flow.Controls) -> flow.Registration:
+        """Where the controls of the source belong."""
+        growth = (len(self._problem.target) / len(self._problem.source)) ** (1 / 3)
         arrays = kept_results.kept(
             "registration",
             (*vars(source).values(), *vars(target).values(), growth),
             lambda: _arrays(flow.register(source, target, growth)),
         )
-        found = flow.Registration(
+        return flow.Registration(
             arrays["images"], float(arrays["mismatch"]), float(arrays["strain"])
         )
-        return source, target, found
 
     def _controls(
         self, points: NDArray[np.float32], landmarks: NDArray[np.float64]

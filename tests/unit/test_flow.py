@@ -474,6 +474,22 @@ def test_a_warp_meets_landmarks_and_takes_what_is_around_them_along() -> None:
     assert np.mean(ended[:, 1] > ended[:, 0]) > 0.9
 
 
+@pytest.mark.parametrize("sides", [(24, 24, 1), (24, 1, 1), (5, 4, 4)])
+def test_flat_thin_and_small_shapes_are_carried(sides: tuple[int, int, int]) -> None:
+    """To a ball and back; points end where there is matter."""
+    axes = [0.5 * np.arange(count) for count in sides]
+    shape = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    axis = np.arange(-3, 3.1, 0.5)
+    ball = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball, axis=1) <= 3]
+    for source, target in ((shape, ball), (ball, shape)):
+        controls = sample_controls(source, 0.5)
+        growth = (len(target) / len(source)) ** (1 / 3)
+        warp = Warp(controls, register(controls, sample_controls(target, 0.5), growth))
+        end = warp.forward(warp.follow(source), 1.0)
+        assert np.abs(end.mean(axis=0) - target.mean(axis=0)).max() < 1
+
+
 def test_a_landmark_is_met_at_the_end() -> None:
     """Matter at it ends where it belongs, which is not where it goes by itself."""
     settings = SMALL | {"frames": 10}
