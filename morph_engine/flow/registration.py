@@ -53,7 +53,7 @@ CARRIED_ADHERENCE = 20.0
 BENDING_WEIGHT = 5.0
 """Of the bending beside the strain, where starts are compared."""
 
-WAY_WEIGHT = 0.5
+WAY_WEIGHT = 2.0
 """Of the way beside the strain."""
 
 LANDMARK_WEIGHT = 5.0

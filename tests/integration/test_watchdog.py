@@ -42,7 +42,9 @@ def test_a_frame_that_cannot_start_is_restarted_with_a_smaller_time_step() -> No
     """A carried speed beyond the limit fails even without control; half the step passes."""
     method = Joint(problem("joint"))
     state = method.state()
-    state["v"][:] = [80.0, 0, 0]  # 0.67 cells per step at the full time step, the limit is 0.5
+    state["v"] = np.full_like(
+        state["v"], [80.0, 0, 0]
+    )  # 0.67 cells per step at the full time step, the limit is 0.5
     method.restore(state)
     outcome = method.advance(0)
     restarts = [event for event in outcome.events if event.kind == "restart"]
@@ -55,7 +57,7 @@ def test_a_hopeless_frame_ends_the_run_and_keeps_the_state() -> None:
     """After all restarts the error names the cause, and the last good state stands."""
     method = Physics(problem("physics", **{"watchdog.restarts": 2}))
     state = method.state()
-    state["v"][:] = [1e4, 0, 0]
+    state["v"] = np.full_like(state["v"], [1e4, 0, 0])
     method.restore(state)
     with pytest.raises(SimulationError, match="faster than the grid allows"):
         method.advance(0)
@@ -105,6 +107,6 @@ def test_a_margin_is_kept() -> None:
 
 def with_one(method: Physics | Joint, *, place: float, speed: float) -> None:
     """Put one particle of the cube at x = place, with a speed along x."""
-    state = method.state()
+    state = {name: values.copy() for name, values in method.state().items()}
     state["x"][0], state["v"][0] = [place, 0, 0], [speed, 0, 0]
     method.restore(state)
