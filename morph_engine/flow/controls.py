@@ -39,9 +39,6 @@ MOST_POINTS = 100_000
 GRAPH_REACH = 4.2
 """Nodes closer than this are neighbours [h]."""
 
-LARGE_PIECE = 0.01
-"""Share of the matter from which a separate piece counts."""
-
 RELAXATIONS = 6
 """Rounds in which controls move to the middle of the matter that is nearest to them."""
 
@@ -57,14 +54,12 @@ class Controls:
         points: Positions [dx], shape [k, 3]; landmarks first.
         form: The same in the canonical form [dx], shape [k, 3].
         weights: Share of the matter, shape [k], of sum 1.
-        piece_count: Separate pieces of the shape.
         landmark_count: How many of them are landmarks.
     """
 
     points: Points
     form: Points
     weights: NDArray[np.float64]
-    piece_count: int = 1
     landmark_count: int = 0
 
     @property
@@ -79,9 +74,7 @@ class Controls:
         chosen = np.concatenate([marks, far[far >= self.landmark_count]])
         nearest = cKDTree(self.form[chosen]).query(self.form)[1]
         weights = np.bincount(nearest, self.weights, len(chosen)).astype(np.float64)
-        return Controls(
-            self.points[chosen], self.form[chosen], weights, self.piece_count, len(marks)
-        )
+        return Controls(self.points[chosen], self.form[chosen], weights, len(marks))
 
 
 def sample_controls(
@@ -100,8 +93,6 @@ def sample_controls(
     pairs = cKDTree(nodes).query_pairs(GRAPH_REACH * coarser * spacing, output_type="ndarray")
     lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
     graph = scipy.sparse.csr_array((lengths, pairs.T), shape=(len(nodes), len(nodes)))
-    _, piece = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    large = np.bincount(piece, held) > LARGE_PIECE * held.sum()
 
     marks = np.empty((0, 3)) if landmarks is None else landmarks
     controls = np.concatenate([marks, _spread(nodes, held, count)])
@@ -113,7 +104,7 @@ def sample_controls(
     geodesic[~finite] = 2 * geodesic[finite].max()  # of pieces that do not touch
     geodesic = np.maximum(geodesic, cdist(controls[: len(anchors)], controls))
     form = canonical_form(controls, geodesic, weights)
-    return Controls(controls, form, weights, int(np.count_nonzero(large)), len(marks))
+    return Controls(controls, form, weights, len(marks))
 
 
 def canonical_form(points: Points, geodesic: Points, weights: NDArray[np.float64]) -> Points:

@@ -156,7 +156,6 @@ class LikeParts:
             arrays["points"],
             arrays["form"],
             arrays["weights"],
-            int(arrays["piece_count"]),
             int(arrays["landmark_count"]),
         )
 
