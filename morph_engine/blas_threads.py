@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -11,11 +12,16 @@ import lazy_loader as lazy
 
 threadpoolctl: Any = lazy.load("threadpoolctl")
 
+_one_at_a_time = threading.RLock()
+
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let linear algebra take one thread in the block."""
-    with _controller().limit(limits=1, user_api="blas"):
+    """Let linear algebra take one thread in the block, which one thread enters at a time.
+
+    The limit is the whole process's, and whoever leaves the block first would lift it.
+    """
+    with _one_at_a_time, _controller().limit(limits=1, user_api="blas"):
         yield
 
 

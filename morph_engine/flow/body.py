@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from morph_engine.flow.carrier import REFINEMENT, Carrier
+from morph_engine.flow.carrier import REFINEMENT, Carrier, Places
 from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.flow.warp import Warp
@@ -88,7 +88,6 @@ class BodyPath:
         warp: What carries the distances, if anything does.
 
     Attributes:
-        carried: Whether anything does.
         corner: The lowest point of the fine lattice that bodies have a level at, shape [3].
         size: Points that they have levels at along each axis, shape [3].
     """
@@ -109,14 +108,15 @@ class BodyPath:
         self._most_pieces = max(_piece_count(distance) for distance in (source, target))
         self._grid = grid
         self._matter = matter
-        self.carried: bool = warp is not None
+        self._tension = tension
+        self._carrier: Carrier | None = None
         self._blended: Callable[[float], Field]
         self.corner: NDArray[np.int64]
         self.size: NDArray[np.int64]
         if warp:
             carrier = Carrier(warp, [compressed(end, reach) for end in (source, target)], grid)
             self.corner, self.size = carrier.corner, carrier.size
-            self._blended = _carried(carrier, tension / self._step)
+            self._carrier = carrier
         else:
             box = _bounding_box(np.minimum(source, target) < 0, margin=4)
             first, last = (np.ascontiguousarray(end[box]) for end in (source, target))
@@ -135,14 +135,27 @@ class BodyPath:
 
     def at(self, share: float) -> Body:
         """The body after a share of its change, between 0 and 1."""
-        return self.body(share, self.level(share))
+        return self.body(share, self.level(share, self.places(share)))
 
-    def level(self, share: float) -> Field:
+    @property
+    def carried(self) -> bool:
+        """Whether a warp carries the distances."""
+        return self._carrier is not None
+
+    def places(self, share: float) -> Places | None:
+        """What a carried level is made from; any thread may ask for it."""
+        return self._carrier.places(share) if self._carrier else None
+
+    def level(self, share: float, places: Places | None) -> Field:
         """The level of the body before it has the scheduled volume [dx], of shape `size`.
 
         Where the path is carried, a kernel makes it, which one thread alone may launch.
         """
-        return self._blended(share)
+        if not (self._carrier and places):
+            return self._blended(share)
+        level = self._carrier.blended(share, places)
+        width = 4 * share * (1 - share) * self._tension
+        return rounded(level, width / self._step) if width else level
 
     def body(self, share: float, level: Field) -> Body:
         """The body of a level that `level` returned, which is changed."""
@@ -213,16 +226,6 @@ class BodyPath:
         held = NodeBox(low, low + nodes.shape)
         mass[tuple(map(slice, held.low, held.high))] = nodes
         return mass * np.float32(self._matter / mass.sum(dtype=np.float64)), held
-
-
-def _carried(carrier: Carrier, width: float) -> Callable[[float], Field]:
-    """Levels that a carrier blends, rounded half-way by a Gaussian of some width [steps]."""
-
-    def blended(share: float) -> Field:
-        level = carrier.blended(share)
-        return rounded(level, 4 * share * (1 - share) * width) if width else level
-
-    return blended
 
 
 def _even_shares(blend: Blend, first: int, last: int) -> NDArray[np.float64]:

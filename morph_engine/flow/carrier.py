@@ -1,5 +1,7 @@
 """Distances that a warp carries, blended on the fine lattice."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
@@ -22,6 +24,23 @@ SAMPLES = 21
 
 FAR = 1e3
 """Distance that stands for all beyond [dx]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where points of a coarse lattice come from and where they go.
+
+    Attributes:
+        corner: Its lowest point, counted from the grid's, shape [3].
+        size: Points along each axis, shape [3].
+        back: Where they come from [dx], shape [n, 3].
+        onward: Where they go [dx], shape [n, 3].
+    """
+
+    corner: list[int]
+    size: list[int]
+    back: NDArray[np.float64]
+    onward: NDArray[np.float64]
 
 
 class Carrier:
@@ -52,9 +71,8 @@ class Carrier:
         self._level = backend.active().scalars(int(self.size.prod()))
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
 
-    def blended(self, share: float) -> NDArray[np.float32]:
-        """phi_s on this box of the fine lattice [dx], of shape `size`."""
-        upload = backend.active().upload
+    def places(self, share: float) -> Places:
+        """Where all that is near the controls comes from and goes; any thread may ask for it."""
         controls, _ = self._warp.at(share)
         corner, axes = [], []
         for low, high in zip(controls.min(axis=0), controls.max(axis=0), strict=True):
@@ -62,11 +80,16 @@ class Carrier:
             corner.append(max(int(first) - 1, 0))
             axes.append(self._axis[corner[-1] : last + 1])
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        return Places(corner, [len(axis) for axis in axes], *self._warp.ends(nodes, share))
+
+    def blended(self, share: float, places: Places) -> NDArray[np.float32]:
+        """phi_s on this box of the fine lattice [dx], of shape `size`."""
+        upload = backend.active().upload
         carry(
-            *map(upload, self._warp.ends(nodes, share)), *self._ends, self._level, share,
+            upload(places.back), upload(places.onward), *self._ends, self._level, share,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
             ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
-            ti.math.ivec3(corner), ti.math.ivec3([len(axis) for axis in axes]),
+            ti.math.ivec3(places.corner), ti.math.ivec3(places.size),
         )  # fmt: skip
         level: NDArray[np.float32] = self._level.to_numpy().astype(np.float32).reshape(self.size)
         return level

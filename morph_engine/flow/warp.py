@@ -9,6 +9,7 @@ points follow the controls near them.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,9 @@ SMOOTHINGS = 2
 
 LEAST_STRETCH = 0.15
 
+SHARES_KEPT = 8
+"""Shares of the way at which the controls are kept: those of the frames being made."""
+
 LEAST_DISTANCE = 0.05
 """From a landmark, below which points follow it equally [distances between controls]."""
 
@@ -41,19 +45,21 @@ class Followed:
     """Controls that points follow.
 
     Attributes:
-        near: Their indices, shape [n, FOLLOWED].
-        weight: How much each is followed, of sum 1, shape [n, FOLLOWED].
-        offset: From each of them to the point [dx], shape [n, FOLLOWED, 3].
+        points: Where the points are [dx], shape [n, 3].
+        controls: Where the controls are [dx], shape [k, 3].
+        weights: How much each point follows each control, rows of sum 1, sparse, shape [n, k].
     """
 
-    near: NDArray[np.intp]
-    weight: Points
-    offset: Points
+    points: Points
+    controls: Points
+    weights: scipy.sparse.csr_array
 
     def carried(self, controls: Points, affine: Points) -> Points:
         """Where the points are when the controls are there, and moved so around them, [n, 3]."""
-        moved = np.matmul(affine[self.near], self.offset[..., None])[..., 0] + controls[self.near]
-        carried: Points = np.einsum("nk,nki->ni", self.weight, moved)
+        shifts = controls - np.einsum("kij,kj->ki", affine, self.controls)
+        motions = np.concatenate([affine, shifts[:, :, None]], axis=2).reshape(len(controls), -1)
+        own = (self.weights @ motions).reshape(-1, 3, 4)
+        carried: Points = np.einsum("nij,nj->ni", own[:, :, :3], self.points) + own[:, :, 3]
         return carried
 
 
@@ -67,6 +73,8 @@ class Warp:
     Attributes:
         start: The controls in the source [dx], shape [k, 3].
         end: Their images [dx], shape [k, 3].
+        at: Tells where the controls are after a share of the way [dx], shape [k, 3], and the affine
+            motions there, shape [k, 3, 3]; the last shares asked for are kept.
     """
 
     def __init__(self, source: Controls, registration: Registration) -> None:
@@ -89,9 +97,9 @@ class Warp:
         )
         self._rest = self._whole.inv() * Rotation.from_matrix(u @ axes)
         self._remainder = self.end - self._placed(self.affine(1.0), 1.0)
+        self.at = functools.lru_cache(SHARES_KEPT)(self._controls_at)
 
-    def at(self, share: float) -> tuple[Points, Points]:
-        """Controls after a share of the way [dx], shape [k, 3], and the affine motions there."""
+    def _controls_at(self, share: float) -> tuple[Points, Points]:
         with one_blas_thread():
             affine = self.affine(share)
             return self._placed(affine, share) + share * self._remainder, affine
@@ -133,7 +141,10 @@ class Warp:
         close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
         weight = np.where(near < self._landmark_count, close * weight, weight)
         weight = weight / weight.sum(axis=1, keepdims=True)
-        return Followed(near, weight, points[:, None] - controls[near])
+        rows = np.arange(len(points) + 1) * near.shape[1]
+        shape = len(points), len(controls)
+        weights = scipy.sparse.csr_array((weight.ravel(), near.ravel(), rows), shape=shape)
+        return Followed(points, controls, weights)
 
     def _laplacian(self) -> Points:
         i, j, weight = self._edges

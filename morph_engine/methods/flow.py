@@ -212,7 +212,7 @@ class Flow(MpmMethod[FlowOptions]):
             SimulationError: A particle is lost, even at the smallest time step.
         """
         share, next_share = self._share(frame), self._share(frame + 1)
-        self._load_bodies(frame, share, next_share)
+        self._load_bodies(frame)
         steps = self._steps()
         events = [] if frame else self._like_parts.decisions()
         order = self._cell_order()
@@ -304,18 +304,18 @@ class Flow(MpmMethod[FlowOptions]):
             return 0.0 if self._like_parts.warp else TENSION
         return self.options.tension
 
-    def _load_bodies(self, frame: int, share: float, next_share: float) -> None:
+    def _load_bodies(self, frame: int) -> None:
         """Bring the body before and after the frame to the device."""
         if self._body_frame != frame:
-            self._upload_body(0, share, next_share)
+            self._upload_body(0, frame)
         else:
             for states in (self._levels, self._masses, self._boxes):
                 states.reverse()
-        self._upload_body(1, next_share, self._share(frame + 2))
+        self._upload_body(1, frame + 1)
         self._body_frame = frame + 1
 
-    def _upload_body(self, slot: int, share: float, following: float) -> None:
-        body = self._bodies.at(share, following)
+    def _upload_body(self, slot: int, frame: int) -> None:
+        body = self._bodies.at(*(self._share(frame + later) for later in range(3)))
         real = self.device.numpy_real
         self._levels[slot].now.from_numpy((body.level.ravel() / self._edge).astype(real))
         self._masses[slot].from_numpy(body.mass.ravel().astype(real))
