@@ -246,7 +246,7 @@ def geodesic_distortion(
     """
     start, end = np.asarray(first, np.float64), np.asarray(last, np.float64)
     chosen = farthest_points(start, landmark_count)
-    before, after = (_geodesics(points, chosen, spacing) for points in (start, end))
+    before, after = (shortest_paths(points, chosen, spacing) for points in (start, end))
     both = np.isfinite(before) & np.isfinite(after) & (before > 0)
     mean = before[both].mean()
     return float(np.sqrt(np.mean((after[both] - before[both]) ** 2)) / mean)
@@ -298,10 +298,19 @@ def _nearest(points: Points, count: int) -> npt.NDArray[np.intp]:
     return others
 
 
-def _geodesics(
+def shortest_paths(
     points: Points, landmarks: npt.NDArray[np.intp], spacing: float
 ) -> npt.NDArray[np.float64]:
-    """Shortest paths inside the body between landmarks [dx], shape [k, k]; inf between pieces."""
+    """Shortest paths inside a body between some of its particles.
+
+    Args:
+        points: Particle positions [dx], shape [n, 3].
+        landmarks: Indices of those between which paths are measured, shape [k].
+        spacing: Lattice spacing h [dx].
+
+    Returns:
+        Lengths of the paths [dx], shape [k, k]; inf between pieces.
+    """
     cell = np.floor(points / (NODE_CELL_OVER_H * spacing)).astype(np.int64)
     off_centre = ((points / (NODE_CELL_OVER_H * spacing) - cell - 0.5) ** 2).sum(axis=1)
     order = np.argsort(off_centre, kind="stable")
