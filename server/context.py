@@ -77,7 +77,11 @@ class ServerContext:
         )
         self.failures: FailureCounts = FailureCounts(self.queue)
         self.event_hub: EventHub = EventHub(
-            self.queue, self.storage, settings.watchers, settings.watchers_per_key
+            self.queue,
+            self.storage,
+            self.authenticator.still_valid,
+            settings.watchers,
+            settings.watchers_per_key,
         )
         budget = Budget.of(settings)
         self.sandbox: Sandbox = Sandbox(settings, self.storage, budget)

@@ -154,7 +154,11 @@ class Settings(BaseSettings):
         description="Pause before the second attempt, about tripled for each further one [s].",
     )
     watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
-    watchers_per_key: int = Field(200, gt=0, description="Event streams of one key among them.")
+    watchers_per_key: int = Field(
+        200,
+        gt=0,
+        description="Event streams of one key among them, with those by share links to its jobs.",
+    )
 
     @property
     def system_database_url(self) -> str:
