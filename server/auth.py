@@ -183,6 +183,19 @@ class RequireScope:
         return found
 
 
+async def require_metrics_key(
+    request: Request, key: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)]
+) -> None:
+    """Let in whoever has `MORPH_METRICS_KEY`, or a key with the scope admin.
+
+    Raises:
+        ProblemError: 401 or 403.
+    """
+    secret = request.app.state.context.settings.metrics_key.get_secret_value()
+    if not (secret and key and hmac.compare_digest(key.credentials.encode(), secret.encode())):
+        await RequireScope("admin")(request, key)
+
+
 Reader = Annotated[Caller, Depends(RequireScope("read"))]
 JobReader = Annotated[Caller, Depends(RequireScope("read", shared=True))]
 Submitter = Annotated[Caller, Depends(RequireScope("submit"))]

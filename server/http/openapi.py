@@ -35,7 +35,7 @@ MODELS = (
 """Those that FastAPI does not find, or of which it does not tell that a default is null."""
 
 BODY_ERRORS = (400, 408, 409, 413, 415, 422, 429)
-OPEN = ("livez", "readyz", "metrics")
+OPEN = ("livez", "readyz")
 
 JOB_ID = {"type": "string", "pattern": f"^{ids.PATTERN}$"}
 PATH_SCHEMAS: dict[str, dict[str, Any]] = {

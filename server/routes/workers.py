@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 from fastapi import APIRouter
 
@@ -10,7 +10,7 @@ from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import not_found
-from chamfer_morph.worker.locks import try_lock
+from chamfer_morph.worker.locks import living
 
 router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=AuthenticatedRoute)
 
@@ -35,27 +35,26 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
 
 def worker_statuses(context: ServerContext) -> list[WorkerStatus]:
     """What each slot does."""
-    running = context.queue.running()
-    slots = context.worker_slots.all()
-    return [_show(name, paused, running, context) for name, paused in slots.items()]
+    return _statuses(context.worker_slots.all(), context)
 
 
 def _pause(name: str, paused: bool, context: ServerContext) -> WorkerStatus:
     if name not in context.worker_slots.all():
         raise not_found("worker slot", name)
     context.worker_slots.pause(name, paused)
-    return _show(name, paused, context.queue.running(), context)
+    return _statuses({name: paused}, context)[0]
 
 
-def _show(
-    name: str, paused: bool, running: Mapping[str, Collection[str]], context: ServerContext
-) -> WorkerStatus:
-    lock = try_lock(context.settings, name)
-    if lock is not None:
-        lock.release()
-    return WorkerStatus(
-        id=name,
-        alive=lock is None,
-        paused=paused,
-        job=next(iter(running.get(name, ())), None),
-    )
+def _statuses(paused: Mapping[str, bool], context: ServerContext) -> list[WorkerStatus]:
+    """What some slots do, of which it is known whether they are paused."""
+    running = context.queue.running()
+    alive = living(context.settings, context.engine, paused)
+    return [
+        WorkerStatus(
+            id=name,
+            alive=name in alive,
+            paused=paused[name],
+            job=next(iter(running.get(name, ())), None),
+        )
+        for name in paused
+    ]

@@ -18,7 +18,7 @@ from tests.patience import PATIENCE
 OPERATIONS = [
     (operation["operationId"], method.upper(), path)
     for method, path, operation in contract.OPERATIONS
-    if path.startswith("/v1/")
+    if path not in ("/livez", "/readyz")
 ]
 
 SHARED = {
@@ -28,7 +28,11 @@ SHARED = {
 }  # fmt: skip
 """All that a share link reads; an operation that is new stays closed until it is named here."""
 
-ADMIN = {"listKeys", "makeKey", "revokeKey", "listWorkers", "pauseWorker", "unpauseWorker"}
+ADMIN = {
+    "listKeys", "makeKey", "revokeKey", "listWorkers", "pauseWorker", "unpauseWorker", "metrics",
+}  # fmt: skip
+
+METRICS_KEY = "m" * 32
 
 OF_OWNER = ("{job_id}", "{mesh_id}", "{sweep_id}", "{webhook_id}")
 """In addresses of what belongs to a key."""
@@ -61,13 +65,15 @@ def house(tmp_path_factory: pytest.TempPathFactory, run: RunRecord) -> Iterator[
     from tests.integration.api.conftest import CUBE, serving
 
     folder = tmp_path_factory.mktemp("access")
-    settings = Settings(_env_file=None, data_dir=folder, port=0, host="127.0.0.1")
+    settings = Settings(
+        _env_file=None, data_dir=folder, port=0, host="127.0.0.1", metrics_key=METRICS_KEY
+    )
     with serving(settings) as api:
         yield _furnished(api, run, CUBE)
 
 
 def _furnished(api: Api, run: RunRecord, mesh: str) -> House:
-    keys: dict[str, dict[str, str]] = {"nobody": {}}
+    keys = {"nobody": {}, "prometheus": {"Authorization": f"Bearer {METRICS_KEY}"}}
 
     def make_key(name: str, *scopes: str) -> dict[str, str]:
         body = {"name": name, "scopes": list(scopes)}
@@ -152,6 +158,16 @@ def test_with_a_share_link(house: House, name: str, method: str, path: str) -> N
     answer = house.ask(method, path, "link")
     assert answer.status_code == 200, answer.text[:300]
     check_refused(house.ask(method, path, "link", job_id=house.ids["other"]), 404)
+
+
+@pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
+def test_with_the_key_of_the_figures(house: House, name: str, method: str, path: str) -> None:
+    """It opens them and nothing else."""
+    answer = house.ask(method, path, "prometheus")
+    if name == "metrics":
+        assert answer.status_code == 200 and "morph_jobs" in answer.text
+    else:
+        check_refused(answer, 401)
 
 
 def test_the_lists_here_are_of_the_contract() -> None:
