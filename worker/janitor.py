@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 
 from chamfer_morph.worker import liveness
+from chamfer_morph.worker.absent_slots import AbsentSlots
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
@@ -163,6 +164,7 @@ def run(settings: Settings) -> None:
     clock = SteadyClock(settings.data_dir / "locks" / "clock")
     engine = database(settings, kept=1)
     webhooks, adoptions = Webhooks(engine), Adoptions(engine)
+    absent_slots = AbsentSlots(settings, engine, queue)
     delivery.start(settings)
 
     def adopt(executor: str) -> None:
@@ -182,6 +184,7 @@ def run(settings: Settings) -> None:
                 deletions.finish()
                 delete_abandoned_uploads(storage)
                 webhooks.forget_old()
+                absent_slots.forget()
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")

@@ -95,7 +95,7 @@ class Metrics:
         self.registry.register(self.adoptions)
         self.workers: Gauge = Gauge(
             "morph_workers",
-            "Worker slots: busy, idle, paused, or dead.",
+            "Worker slots: busy, idle, paused, or dead, which are gone and have jobs.",
             ("state",),
             registry=self.registry,
         )
@@ -136,8 +136,9 @@ class Metrics:
 
 
 def _state(worker: WorkerStatus) -> str:
+    """The state that a slot counts as; one that is gone and has left no job counts as none."""
     if not worker.alive:
-        return "dead"
+        return "dead" if worker.job else ""
     return "busy" if worker.job else "paused" if worker.paused else "idle"
 
 

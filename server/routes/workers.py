@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
 from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.auth import Admin, AuthenticatedRoute
@@ -16,9 +17,19 @@ router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=A
 
 
 @router.get("", operation_id="listWorkers", summary="List worker slots")
-def list_workers(caller: Admin, context: Context) -> list[WorkerStatus]:
-    """All slots that have ever worked for this service."""
-    return worker_statuses(context)
+def list_workers(
+    caller: Admin,
+    context: Context,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Slots of a page.")] = 1000,
+    after: Annotated[
+        str, Query(max_length=255, description="Only slots behind this one; the last of a page.")
+    ] = "",
+) -> list[WorkerStatus]:
+    """The slots that work for this service, and those that have not ended in order, by name.
+
+    Such a slot is forgotten after a day, unless it is paused.
+    """
+    return [worker for worker in worker_statuses(context) if worker.id > after][:limit]
 
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
@@ -34,8 +45,10 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
 
 
 def worker_statuses(context: ServerContext) -> list[WorkerStatus]:
-    """What each slot does."""
-    return _statuses(context.worker_slots.all(), context)
+    """What each slot does, by name; with those that have ended, and whose jobs nobody has yet."""
+    slots = context.worker_slots.all()
+    names = sorted({*slots, *context.queue.running()})
+    return _statuses({name: slots.get(name, False) for name in names}, context)
 
 
 def _pause(name: str, paused: bool, context: ServerContext) -> WorkerStatus:

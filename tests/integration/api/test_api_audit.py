@@ -9,9 +9,6 @@ from typing import Any
 
 import pytest
 
-from chamfer_morph.worker.dbos_adapter import database
-from chamfer_morph.worker.locks import try_lock
-from chamfer_morph.worker.slots import WorkerSlots
 from tests.integration.api.conftest import MORPH, Api
 
 ADDRESS = "/v1/jobs/no-such-job"
@@ -70,19 +67,3 @@ def test_long_paths_are_cut(api: Api, lines: Callable[[], list[dict[str, Any]]])
     api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]})
     assert api.http.delete("/v1/jobs/" + "x" * 5000).status_code == 401
     assert [len(json.dumps(line)) < 600 for line in lines()] == [True]
-
-
-def test_worker_slots_are_counted(api: Api) -> None:
-    """A slot that nobody holds is dead."""
-    figures = api.http.get("/metrics").text
-    assert 'morph_workers{state="dead"} 0.0' in figures
-    engine = database(api.settings)
-    WorkerSlots(engine).register("elsewhere-slot0")
-    engine.dispose()
-    lock = try_lock(api.settings, "elsewhere-slot0")
-    assert lock is not None
-    try:
-        assert 'morph_workers{state="idle"} 1.0' in api.http.get("/metrics").text
-    finally:
-        lock.release()
-    assert 'morph_workers{state="dead"} 1.0' in api.http.get("/metrics").text
