@@ -5,6 +5,7 @@ else; owner, name and the like are attributes of that row.
 
 Owners take turns (start-time fair queuing, Goyal et al. 1996): a job's place in the queue is one
 more than that of its owner's last job, or than that of the job started last, whichever is larger.
+Of jobs that are queued at the same moment and so have the same place, all but one move on.
 DBOS starts jobs in the order of these places, which it calls priority. An owner's own priorities
 decide which of their jobs takes which of their places.
 """
@@ -197,7 +198,7 @@ class JobQueue:
         except dbos_error.DBOSWorkflowIDInUseError:
             return False
         self._settle(owner, queue)
-        self._own.order_by_priority(owner or NOBODY, priority)
+        self._own.order_newest(owner or NOBODY, job_id, priority)
         self.wake_workers()
         return True
 
@@ -494,7 +495,7 @@ class JobQueue:
         except dbos_error.DBOSException as error:
             raise JobChangedError(str(error)) from error
         self._settle(owner, queue)
-        self._own.order_by_priority(owner or NOBODY, job.priority if job else 0)
+        self._own.order_newest(owner or NOBODY, job_id, job.priority if job else 0)
         self.wake_workers()
 
     def _settle(self, owner: str, queue: str) -> None:
