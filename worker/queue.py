@@ -30,8 +30,10 @@ from dbos import (
     WorkflowStatus,
 )
 from dbos import error as dbos_error
+from pydantic import BaseModel, Field, Json
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.schemas.jobs import JobPlacement
 from chamfer_morph.worker import job_trace
 from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
@@ -86,6 +88,10 @@ class JobRecord:
         sweep: The sweep it belongs to, if any.
         priority: Smaller runs earlier among the owner's jobs.
         paused: Whether it waits until its owner ends a pause.
+        estimate: What it was expected to take [s].
+        via_names: Names of the shapes between its source and its target.
+        placement: Where it puts its shapes; None for one that an older version has queued.
+        reused_from: The job whose result it was given, if any.
         attributes: Everything that was attached to it.
         created_at, started_at, finished_at: Times in UTC, None while still to come.
         executor: The worker slot that runs it or ran it last.
@@ -101,6 +107,10 @@ class JobRecord:
     sweep: str | None
     priority: int
     paused: bool
+    estimate: float
+    via_names: list[str]
+    placement: JobPlacement | None
+    reused_from: str | None
     attributes: dict[str, Any]
     created_at: datetime
     started_at: datetime | None
@@ -113,6 +123,19 @@ class JobRecord:
     def age_and_id(self) -> tuple[int, str]:
         """Its place in a listing: when it was created [ms since 1970], and its id."""
         return round(self.created_at.timestamp() * 1000), self.id
+
+
+class _Attributes(BaseModel):
+    """What is attached to a job and has to be of a type; whoever reads the row relies on it."""
+
+    owner: str = ""
+    name: str = ""
+    sweep: str | None = None
+    priority: int = 0
+    estimate: float = Field(0, allow_inf_nan=False)
+    via_names: Json[list[str]] = []
+    placement: Json[JobPlacement] | None = None
+    reused_from: str | None = None
 
 
 class JobQueue:
@@ -584,6 +607,7 @@ def _record_or_none(status: WorkflowStatus) -> JobRecord | None:
 
 def _record(status: WorkflowStatus) -> JobRecord:
     attributes = status.attributes or {}
+    known = _Attributes.model_validate(attributes)
     arguments = (status.input or {"args": ()})["args"]
     deadline, ended = status.workflow_deadline_epoch_ms, status.completed_at
     late = deadline is not None and ended is not None and ended >= deadline
@@ -596,13 +620,17 @@ def _record(status: WorkflowStatus) -> JobRecord:
         state, outcome, problem = JobState.FAILED, None, UNREADABLE
     return JobRecord(
         id=status.workflow_id,
-        owner=str(attributes.get("owner", "")),
+        owner=known.owner,
         state=state,
         spec=spec,
-        name=str(attributes.get("name", "")),
-        sweep=attributes.get("sweep"),
-        priority=int(attributes.get("priority", 0)),
+        name=known.name,
+        sweep=known.sweep,
+        priority=known.priority,
         paused=state is JobState.QUEUED and status.queue_name == PAUSED_QUEUE,
+        estimate=known.estimate,
+        via_names=known.via_names,
+        placement=known.placement,
+        reused_from=known.reused_from,
         attributes=attributes,
         created_at=_time(status.created_at) or datetime.now(timezone.utc),
         started_at=_time(status.dequeued_at),

@@ -69,6 +69,27 @@ def test_a_row_that_cannot_be_read_hides_no_other(either: Api, inputs: str) -> N
     assert either.http.get(f"/v1/jobs/{jobs[1]}").status_code == 404
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("placement", "{"), ("placement", "[]"), ("placement", 5), ("placement", '{"up": "y"}'),
+        ("via_names", "no"), ("via_names", "[1]"), ("via_names", "3"), ("estimate", "soon"),
+        ("estimate", []), ("sweep", 5), ("reused_from", {}), ("owner", 1), ("name", None),
+        ("priority", {}),
+    ],
+)  # fmt: skip
+def test_a_damaged_attribute_hides_no_other(either: Api, name: str, value: Any) -> None:
+    """What is attached to a job is looked at when its row is read."""
+    jobs = [either.submit(overrides=COARSE)["id"] for _ in range(3)]
+    record = either.context.queue.get(jobs[1])
+    assert record is not None
+    change(either, jobs[1], attributes=record.attributes | {name: value})
+    page = either.http.get("/v1/jobs")
+    assert page.status_code == 200, page.text
+    assert [job["id"] for job in page.json()["items"]] == [jobs[2], jobs[0]]
+    assert either.http.get(f"/v1/jobs/{jobs[1]}").status_code == 404
+
+
 def test_a_pickled_row_is_never_unpickled(either: Api, tmp_path: Path) -> None:
     """Whoever writes to the database runs no code in the API."""
     traces = [tmp_path / name for name in ("input", "output", "error")]
