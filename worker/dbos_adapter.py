@@ -127,13 +127,22 @@ class WorkflowTable:
         return sa.literal_column(f"json_extract(attributes, '$.{name}')", sa.String)
 
     def create_indexes(self) -> None:
-        """Create what jobs are read by: all of them, and an owner's, by age; equal ones by run."""
+        """Create what jobs are read and counted by.
+
+        All jobs, an owner's, a sweep's and a method's are listed by age; equal ones share a run.
+        """
         c = self.table.c
-        age = sa.cast(c.created_at, sa.BigInteger)
+        owner, age = c.authenticated_user, sa.cast(c.created_at, sa.BigInteger)
+        sweep, method = self.attribute("sweep"), self.attribute("method")
+        counted = owner, c.status, c.completed_at, c.workflow_deadline_epoch_ms, c.name
         indexes = (
             sa.Index("morph_jobs_by_age", age, c.workflow_uuid),
-            sa.Index("morph_jobs_by_owner", c.authenticated_user, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_owner", owner, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_sweep", sweep, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_method", method, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_owner_and_method", owner, method, age, c.workflow_uuid),
             sa.Index("morph_jobs_by_run", self.attribute("run"), c.workflow_uuid),
+            sa.Index("morph_jobs_by_state", *counted),
         )
         with self.begin() as connection:
             if connection.dialect.name == "postgresql":

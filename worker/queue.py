@@ -307,11 +307,12 @@ class JobQueue:
         created = sa.cast(c.created_at, sa.BigInteger)  # SQLite may store fractions
         query = self._versions.add_columns(created)
         if owner is not None:
-            query = query.where(self._owned_by(owner))
+            few = sweep is not None
+            query = query.where(self._and_owned_by(owner) if few else self._owned_by(owner))
         if sweep is not None:
-            query = query.where(c.attributes["sweep"].as_string() == sweep)
+            query = query.where(self._workflows.attribute("sweep") == sweep)
         if method is not None:
-            query = query.where(c.attributes["method"].as_string() == method)
+            query = query.where(self._workflows.attribute("method") == method)
         if states:
             wanted = sorted({status for state in states for status in statuses(state)})
             query = query.where(c.status.in_(wanted))
