@@ -47,6 +47,9 @@ COLUMNS = frozenset(
 OUTCOME_COLUMNS = frozenset({"workflow_uuid", "output", "error"})
 """What it uses of the table of their outcomes."""
 
+PAYLOADS = ("workflow_input", "workflow_output", "operation_outputs")
+"""Tables with rows of a workflow that do not go with its own row by themselves."""
+
 REST_SECONDS = 30.0
 
 SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
@@ -149,6 +152,20 @@ class WorkflowTable:
                 connection.execute(sa.text("select pg_advisory_xact_lock(7310247)"))
             for index in indexes:
                 connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+
+    def delete(self, job_id: str, condition: sa.ColumnElement[bool]) -> bool:
+        """Delete a workflow with all that belongs to it; False where the condition does not hold.
+
+        The client of DBOS deletes whatever state the workflow is in by then.
+        """
+        others = [self._table(name, frozenset({"workflow_uuid"})) for name in PAYLOADS]
+        with self.begin() as connection:
+            mine = self.table.c.workflow_uuid == job_id
+            if not connection.execute(sa.delete(self.table).where(mine, condition)).rowcount:
+                return False
+            for table in others:
+                connection.execute(sa.delete(table).where(table.c.workflow_uuid == job_id))
+        return True
 
     def close(self) -> None:
         """Give the connections back."""

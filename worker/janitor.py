@@ -16,7 +16,7 @@ from chamfer_morph.worker.absent_slots import AbsentSlots
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.retention.steady_clock import SteadyClock
@@ -100,7 +100,8 @@ def delete_expired(
     def delete(job: str) -> None:
         record = queue.get(job)
         sizes.forget(job)  # one that goes on meanwhile is measured again when it has finished
-        if record is not None and delete_if_unchanged(queue, deletions, record):
+        if record is not None and deletions.delete(record):
+            log.info("job %s has expired", job)
             deleted.append(job)
 
     if settings.retention_days and by_age:
@@ -122,21 +123,6 @@ def delete_expired(
                     delete(job)
                     excess -= size
     return deleted
-
-
-def delete_if_unchanged(queue: JobQueue, deletions: Deletions, record: JobRecord) -> bool:
-    """Delete a finished job, unless somebody has resumed, retried or deleted it since its record
-    was read.
-
-    Returns:
-        Whether it has been deleted.
-    """  # noqa: D205
-    now = queue.get(record.id)
-    if now is None or not now.state.finished or now.finished_at != record.finished_at:
-        return False
-    log.info("job %s has expired", record.id)
-    deletions.delete(record.id)
-    return True
 
 
 def delete_abandoned_uploads(storage: Storage) -> list[str]:

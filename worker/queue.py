@@ -483,6 +483,17 @@ class JobQueue:
         self._client.delete_workflow(job_id)
         self._cache.pop(job_id, None)
 
+    def delete_finished(self, job: JobRecord) -> bool:
+        """Forget a job that is finished as when its record was read; False if it has changed."""
+        c = self._table.c
+        ended, at = sa.cast(c.completed_at, sa.BigInteger), job.finished_at
+        states = sorted({status for s in JobState if s.finished for status in statuses(s)})
+        unchanged = ended == round(at.timestamp() * 1000) if at else ended.is_(None)
+        deleted = self._workflows.delete(job.id, c.status.in_(states) & unchanged)
+        if deleted:
+            self._cache.pop(job.id, None)
+        return deleted
+
     def running(self) -> dict[str, set[str]]:
         """Ids of the running jobs by the worker slot that holds them."""
         c = self._table.c

@@ -245,6 +245,13 @@ class MemoryQueue(JobQueue):
     def wake_workers(self) -> None:
         pass
 
+    def delete_finished(self, job: JobRecord) -> bool:
+        row = self.rows.of.get(job.id)
+        if row is None or not row.state.finished:
+            return False
+        del self.rows.of[job.id]
+        return True
+
     def close(self) -> None:
         pass
 

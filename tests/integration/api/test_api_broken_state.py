@@ -9,7 +9,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
 from types import FrameType
@@ -302,6 +302,23 @@ def test_racing_requests_are_conflicts_at_worst(either: Api, run: RunRecord) -> 
             answers = [*pool.map(act, actions)]
         assert set(answers) <= {202, 204, 404, 409}, answers
         assert either.http.get("/v1/jobs").status_code == 200
+
+
+def test_a_job_that_is_resumed_meanwhile_stays(
+    either: Api, run: RunRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the look at a job that is to be deleted and its deletion it may change."""
+    job = either.finished(run)
+    noted = either.context.deletions.noted
+
+    def resume_first(job_id: str) -> AbstractContextManager[None]:
+        either.context.queue.resume(job_id)
+        return noted(job_id)
+
+    monkeypatch.setattr(either.context.deletions, "noted", resume_first)
+    assert either.http.delete(f"/v1/jobs/{job}").status_code == 409
+    assert either.http.get(f"/v1/jobs/{job}").json()["state"] == "queued"
+    assert either.http.get(f"/v1/jobs/{job}/frames/1").status_code == 200
 
 
 def test_a_job_goes_although_its_files_cannot_now(
