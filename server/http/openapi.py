@@ -58,6 +58,7 @@ FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
     "getResult": (400, 409, 416), "getExportFile": (400, 409, 416),
     "getMeshFile": (400, 416), "getLog": (400, 416),
     "getSurface": (413,), "getEvents": (429,), "makeShareLink": (429,),
+    "testWebhook": (429,),
     "readyz": (503,),
 }  # fmt: skip
 """What neither the address nor the body of an operation tells."""

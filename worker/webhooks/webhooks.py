@@ -162,6 +162,13 @@ class Webhooks:
             connection.execute(sa.insert(_MESSAGES).values(row))
         return _delivery(row | {"job": None, "delivered": False, "attempts": "[]"})
 
+    def pending_tests(self, webhook_id: str) -> int:
+        """How many tests of a webhook are neither delivered nor given up."""
+        c = _MESSAGES.c
+        pending = (c.webhook == webhook_id) & (c.type == "test") & c.due_at.is_not(None)
+        with self._engine.connect() as connection:
+            return int(connection.execute(sa.select(sa.func.count()).where(pending)).scalar_one())
+
     def deliveries(
         self, webhook_id: str, *, before: tuple[int, str] | None, limit: int
     ) -> list[tuple[tuple[int, str], Delivery]]:

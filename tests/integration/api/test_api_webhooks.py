@@ -9,6 +9,7 @@ import pytest
 import sqlalchemy as sa
 
 from chamfer_morph.schemas import DeliveryAttempt, JobState
+from chamfer_morph.server.quotas import PENDING_TESTS
 from tests.integration.api.conftest import Api
 
 URL = "https://8.8.8.8/morph"
@@ -67,6 +68,17 @@ def test_what_is_refused(api: Api, change: dict[str, Any], words: str) -> None:
     assert answer.status_code == 422, problem
     assert words in problem["detail"] + problem["remedy"]
     assert api.http.get("/v1/webhooks").json() == []
+
+
+def test_so_many_tests_wait(either: Api) -> None:
+    """One more is refused until one of them is delivered or given up."""
+    path = either.http.post("/v1/webhooks", json={"url": URL}).headers["Location"]
+    answers = [either.http.post(f"{path}/test") for _ in range(PENDING_TESTS + 1)]
+    assert [answer.status_code for answer in answers] == [202] * PENDING_TESTS + [429]
+    (due,) = either.context.webhooks.due([], 10)
+    given_up = DeliveryAttempt(at=due.created_at, seconds=1, status=500, problem="busy")
+    either.context.webhooks.record(due, given_up, None)
+    assert [either.http.post(f"{path}/test").status_code for _ in range(2)] == [202, 429]
 
 
 def test_a_damaged_row_hides_no_other(either: Api) -> None:
