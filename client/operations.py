@@ -69,6 +69,7 @@ ShapeLike = str | Path | Shape
 
 TEXT_PREFIX = "text:"
 PAGE_SIZE = 100
+WORKERS_PAGE = 1000
 EXPORT_SECONDS = 0.5
 """How often to look whether an export is ready."""
 
@@ -720,7 +721,13 @@ class Operations:
     @operation
     async def workers(self) -> list[WorkerStatus]:
         """The worker slots."""
-        return await self._get(list[WorkerStatus], "workers")
+        found: list[WorkerStatus] = []
+        page = None
+        while page is None or len(page) == WORKERS_PAGE:
+            after = found[-1].id if found else None
+            page = await self._get(list[WorkerStatus], "workers", after=after, limit=WORKERS_PAGE)
+            found += page
+        return found
 
     @operation
     async def pause_worker(self, worker_id: str) -> WorkerStatus:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Collection, Coroutine, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from typing import Annotated, Any
@@ -102,6 +102,17 @@ class Authenticator:
             raise _unauthorized("This needs a key.")
         return ANONYMOUS
 
+    async def still_valid(self, callers: Collection[Caller]) -> set[Caller]:
+        """Those of some callers whose key or share link has not been revoked since."""
+        await self._read()
+        known = {*self._callers.values()}
+        if not self._callers and self._open:
+            known.add(ANONYMOUS)
+        if links := {caller.digest for caller in callers if caller.shared is not None}:
+            found = await anyio.to_thread.run_sync(self._share_links.callers, links)
+            known.update(found.values())
+        return known & {*callers}
+
     async def is_open(self) -> bool:
         """Whether no key is needed, as far as that is known."""
         if not self._open:
@@ -123,12 +134,13 @@ class Authenticator:
         raise _unauthorized("This key is unknown or revoked.")
 
     async def _find_link(self, secret: str) -> Caller:
-        caller = await anyio.to_thread.run_sync(self._share_links.caller, secret)
-        if caller is None:
+        digest = secret_digest(secret)
+        found = await anyio.to_thread.run_sync(self._share_links.callers, [digest])
+        if digest not in found:
             raise _unauthorized(
                 "This share link is unknown or revoked.", "Ask whoever sent it for another."
             )
-        return caller
+        return found[digest]
 
 
 class RequireScope:
@@ -169,6 +181,19 @@ class RequireScope:
                 "Use another key, or ask whoever runs the service for one.",
             )
         return found
+
+
+async def require_metrics_key(
+    request: Request, key: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)]
+) -> None:
+    """Let in whoever has `MORPH_METRICS_KEY`, or a key with the scope admin.
+
+    Raises:
+        ProblemError: 401 or 403.
+    """
+    secret = request.app.state.context.settings.metrics_key.get_secret_value()
+    if not (secret and key and hmac.compare_digest(key.credentials.encode(), secret.encode())):
+        await RequireScope("admin")(request, key)
 
 
 Reader = Annotated[Caller, Depends(RequireScope("read"))]

@@ -19,6 +19,7 @@ from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.database.sweeps import SweepStore
 from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.failure_counts import FailureCounts
+from chamfer_morph.server.mesh_locks import MeshLocks
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
 from chamfer_morph.server.turns import Turns
@@ -66,6 +67,7 @@ class ServerContext:
             self.api_keys, self.share_links, open_without_keys=is_loopback(settings.host)
         )
         self.meshes: MeshStore = MeshStore(self.engine)
+        self.mesh_locks: MeshLocks = MeshLocks(settings)
         self.adoptions: Adoptions = Adoptions(self.engine)
         self.worker_slots: WorkerSlots = WorkerSlots(self.engine)
         self.webhooks: Webhooks = Webhooks(self.engine)
@@ -77,7 +79,11 @@ class ServerContext:
         )
         self.failures: FailureCounts = FailureCounts(self.queue)
         self.event_hub: EventHub = EventHub(
-            self.queue, self.storage, settings.watchers, settings.watchers_per_key
+            self.queue,
+            self.storage,
+            self.authenticator.still_valid,
+            settings.watchers,
+            settings.watchers_per_key,
         )
         budget = Budget.of(settings)
         self.sandbox: Sandbox = Sandbox(settings, self.storage, budget)
@@ -119,6 +125,7 @@ class ServerContext:
     def close(self) -> None:
         """Give the connections back."""
         self.queue.close()
+        self.mesh_locks.close()
         self.engine.dispose()
 
     @property

@@ -11,7 +11,7 @@ import logging
 import time
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from operator import itemgetter
@@ -20,14 +20,18 @@ import anyio
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from chamfer_morph.schemas import Event, JobState
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.event_log import EventLog
-from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 
 POLL_SECONDS = 0.15
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
+CHECK_SECONDS = 1.0
+"""How long the key or share link of an open stream is trusted."""
+
 AWAY_SECONDS = 15.0
 """How long an object store that has not answered is not asked again, which may take long."""
 
@@ -79,12 +83,17 @@ class JobFeed:
         self._changed.set()
         self._changed = asyncio.Event()
 
-    async def events(self, after: int, closing: asyncio.Event) -> AsyncIterator[bytes]:
-        """Encoded events after an id, until the job rests, and its states as they change."""
+    async def events(self, after: int, is_open: Callable[[], bool]) -> AsyncIterator[bytes]:
+        """Encoded events after an id, until the job rests, and its states as they change.
+
+        Args:
+            after: The id.
+            is_open: Whether to go on.
+        """
         await self.ready.wait()
         yield f"retry: {RECONNECT_MILLISECONDS}\n\n".encode()
         sent_state: JobState | None = None
-        while not closing.is_set():
+        while is_open():
             # the state before the events, for a thread may write the events and then the state
             changed, state, events = self._changed, self.state, self._events
             after = 0 if not events or after > events[-1][0] else after
@@ -114,28 +123,47 @@ class Subscription:
     Attributes:
         hub: Whose place it is.
         job_id: The job that is followed.
-        key: Name of the key that follows it.
+        caller: Who follows it.
+        key: Name of the key whose place it is: for a share link that of the owner of the job.
         feed: What happens to the job.
     """
 
     hub: EventHub
     job_id: str
+    caller: Caller
     key: str
     feed: JobFeed
 
     def events(self, after: int) -> AsyncIterator[bytes]:
-        """Events after an id as server-sent events, until the job rests."""
-        return self.feed.events(after, self.hub.closing)
+        """Events after an id as server-sent events, until the job rests or the key is revoked."""
+        return self.feed.events(after, lambda: self.hub.is_open(self))
 
 
 class EventHub:
-    """All event streams."""
+    """All event streams.
 
-    def __init__(self, queue: JobQueue, storage: Storage, limit: int, limit_per_key: int) -> None:
+    Args:
+        queue: Knows the states of jobs.
+        storage: Has their logs.
+        still_valid: Which of some callers have a key or share link that has not been revoked.
+        limit: Most streams at the same time.
+        limit_per_key: Most of one key among them.
+    """
+
+    def __init__(
+        self,
+        queue: JobQueue,
+        storage: Storage,
+        still_valid: Callable[[Collection[Caller]], Awaitable[Collection[Caller]]],
+        limit: int,
+        limit_per_key: int,
+    ) -> None:
         self._queue = queue
         self._storage = storage
+        self._still_valid = still_valid
         self._limit = limit
         self._limit_per_key = limit_per_key
+        self._open: set[Subscription] = set()
         self._of_key: Counter[str] = Counter()
         self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
@@ -148,22 +176,30 @@ class EventHub:
         """Subscribers at this moment."""
         return sum(feed.subscribers for feed in self._feeds.values())
 
-    def subscribe(self, job_id: str, key: str) -> Subscription:
+    def subscribe(self, job: JobRecord, caller: Caller) -> Subscription:
         """Take a place for a stream of a job; a key has its share of them from this moment on.
 
         Raises:
             ProblemError: 429. There are as many as may be, of all or of the key.
         """
+        key = caller.name if caller.shared is None else job.owner
         self._check_capacity(key)
         self._of_key[key] += 1
-        feed = self._feeds.setdefault(job_id, JobFeed(self._storage.events(job_id)))
+        feed = self._feeds.setdefault(job.id, JobFeed(self._storage.events(job.id)))
         feed.subscribers += 1
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._poll())
-        return Subscription(self, job_id, key, feed)
+        subscription = Subscription(self, job.id, caller, key, feed)
+        self._open.add(subscription)
+        return subscription
+
+    def is_open(self, subscription: Subscription) -> bool:
+        """Whether a stream may go on: neither it nor the hub has ended."""
+        return subscription in self._open and not self.closing.is_set()
 
     def unsubscribe(self, subscription: Subscription) -> None:
         """Give a place back, and forget the job when it was the last one."""
+        self._open.discard(subscription)
         self._of_key[subscription.key] -= 1
         subscription.feed.subscribers -= 1
         if not subscription.feed.subscribers:
@@ -188,9 +224,13 @@ class EventHub:
             feed.wake()
 
     async def _poll(self) -> None:
+        checked_at = time.monotonic()
         while self._feeds and not self.closing.is_set():
             feeds = dict(self._feeds)
             try:
+                if time.monotonic() - checked_at > CHECK_SECONDS:
+                    await self._end_revoked()
+                    checked_at = time.monotonic()
                 await anyio.to_thread.run_sync(self._read_all, feeds, limiter=self._thread)
             except Exception:
                 _LOG.warning("events cannot be read now", exc_info=True)
@@ -198,6 +238,16 @@ class EventHub:
             for feed in feeds.values():
                 feed.publish()
             await asyncio.sleep(POLL_SECONDS)
+
+    async def _end_revoked(self) -> None:
+        """End the streams of keys and share links that have been revoked since they began."""
+        streams = [*self._open]  # others may come meanwhile
+        valid = await self._still_valid({stream.caller for stream in streams})
+        for stream in streams:
+            if stream.caller not in valid:
+                self._open.discard(stream)
+                if stream.feed.ready.is_set():  # else it looks by itself
+                    stream.feed.wake()
 
     def _read_all(self, feeds: dict[str, JobFeed]) -> None:
         states = self._queue.states(feeds)

@@ -108,6 +108,6 @@ def _begin(
         | {
             "name": request.name,
             "body": body,
-            "estimate": float(job.attributes.get("estimate", 0)) * share,
+            "estimate": job.estimate * share,
         },
     )

@@ -21,6 +21,9 @@ DISK_SECONDS = 30.0
 SHARE_LINKS = 20
 """Links to one job that may be there at the same time."""
 
+PENDING_TESTS = 10
+"""Tests of one webhook that may wait for their delivery."""
+
 
 class Incoming:
     """An upload on its way in, or several, which count as meshes and fill the disk already.
@@ -136,6 +139,24 @@ class Quotas:
             if reserved.refused:
                 cause = f"This job has {reserved.there} share links, and may have {limit}."
                 raise _refusal(429, cause, "Revoke those that are not needed any more.")
+            yield
+
+    @contextmanager
+    def letting_in_test(self, webhook_id: str, count: Callable[[], int]) -> Iterator[None]:
+        """Refuse more tests of a webhook than may wait for their delivery.
+
+        Args:
+            webhook_id: The webhook.
+            count: Counts those that wait.
+
+        Raises:
+            ProblemError: 429.
+        """
+        limit = PENDING_TESTS
+        with self._reservations.reserving("tests", webhook_id, 1, limit, count) as reserved:
+            if reserved.refused:
+                cause = f"{reserved.there} tests of this webhook wait, as many as may."
+                raise _refusal(429, cause, "Wait until they are delivered or given up.")
             yield
 
     @contextmanager

@@ -59,7 +59,7 @@ def take_over(equal: JobRecord, job_id: str, queue: JobQueue, storage: Storage) 
         with suppress(StoreUnavailableError):
             storage.remove_job(job_id)
     else:
-        first = str(equal.attributes.get("reused_from", equal.id))
+        first = equal.reused_from or equal.id
         queue.finish(job_id, equal.outcome, {"reused_from": first})
 
 

@@ -211,19 +211,22 @@ def submit(
         The job, and whether it is new.
 
     Raises:
-        ProblemError: 422, the id belongs to another request.
+        ProblemError: 409, a mesh has been deleted since it was prepared; 422, the id belongs to
+            another request.
     """
     equal = None
     if submission.reuse:
         equal = find_equal(submission.spec, caller.name, context.queue, context.storage)
-    new = context.queue.enqueue(
-        submission.spec,
-        job_id=job_id,
-        owner=caller.name,
-        priority=submission.priority,
-        attributes=submission.attributes | ({"sweep": sweep} if sweep else {}),
-        delay_seconds=TAKEOVER_SECONDS if equal else None,
-    )
+    with context.mesh_locks.holding(submission.spec.meshes):
+        check_meshes(submission.spec, context)
+        new = context.queue.enqueue(
+            submission.spec,
+            job_id=job_id,
+            owner=caller.name,
+            priority=submission.priority,
+            attributes=submission.attributes | ({"sweep": sweep} if sweep else {}),
+            delay_seconds=TAKEOVER_SECONDS if equal else None,
+        )
     if new and equal:
         take_over(equal, job_id, context.queue, context.storage)
     record = context.queue.get(job_id)
@@ -232,6 +235,17 @@ def submit(
     if not new and record.attributes.get("body") != submission.attributes["body"]:
         raise idempotency_conflict()
     return record, new
+
+
+def check_meshes(spec: JobSpec, context: ServerContext) -> None:
+    """Refuse what uses a mesh that nobody has any more; the locks of its meshes are held.
+
+    Raises:
+        ProblemError: 409.
+    """
+    for mesh in spec.meshes:
+        if context.meshes.get(None, mesh) is None or context.storage.mesh_file(mesh) is None:
+            raise ProblemError(409, f"The mesh {mesh} has been deleted.", "Upload it again first.")
 
 
 def idempotent_id(kind: str, caller: Caller, key: str) -> str:

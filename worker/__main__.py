@@ -8,7 +8,10 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+
+import sqlalchemy as sa
 
 from chamfer_morph.worker import liveness, service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -132,6 +135,8 @@ def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
             if paused and not slots.is_paused(executor):
                 os._exit(ExitCode.PAUSED)  # start again, unpaused
     spare.end()
+    with suppress(sa.exc.DBAPIError):  # the janitor does it, in a day
+        slots.unregister(executor)
     telemetry.flush()
     os._exit(0)  # the engine process of its job ends with it
 

@@ -47,6 +47,9 @@ COLUMNS = frozenset(
 OUTCOME_COLUMNS = frozenset({"workflow_uuid", "output", "error"})
 """What it uses of the table of their outcomes."""
 
+PAYLOADS = ("workflow_input", "workflow_output", "operation_outputs")
+"""Tables with rows of a workflow that do not go with its own row by themselves."""
+
 REST_SECONDS = 30.0
 
 SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
@@ -127,19 +130,42 @@ class WorkflowTable:
         return sa.literal_column(f"json_extract(attributes, '$.{name}')", sa.String)
 
     def create_indexes(self) -> None:
-        """Create what jobs are read by: all of them, and an owner's, by age; equal ones by run."""
+        """Create what jobs are read and counted by.
+
+        All jobs, an owner's, a sweep's and a method's are listed by age; equal ones share a run.
+        """
         c = self.table.c
-        age = sa.cast(c.created_at, sa.BigInteger)
+        owner, age = c.authenticated_user, sa.cast(c.created_at, sa.BigInteger)
+        sweep, method = self.attribute("sweep"), self.attribute("method")
+        counted = owner, c.status, c.completed_at, c.workflow_deadline_epoch_ms, c.name
         indexes = (
             sa.Index("morph_jobs_by_age", age, c.workflow_uuid),
-            sa.Index("morph_jobs_by_owner", c.authenticated_user, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_owner", owner, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_sweep", sweep, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_method", method, age, c.workflow_uuid),
+            sa.Index("morph_jobs_by_owner_and_method", owner, method, age, c.workflow_uuid),
             sa.Index("morph_jobs_by_run", self.attribute("run"), c.workflow_uuid),
+            sa.Index("morph_jobs_by_state", *counted),
         )
         with self.begin() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(sa.text("select pg_advisory_xact_lock(7310247)"))
             for index in indexes:
                 connection.execute(sa.schema.CreateIndex(index, if_not_exists=True))
+
+    def delete(self, job_id: str, condition: sa.ColumnElement[bool]) -> bool:
+        """Delete a workflow with all that belongs to it; False where the condition does not hold.
+
+        The client of DBOS deletes whatever state the workflow is in by then.
+        """
+        others = [self._table(name, frozenset({"workflow_uuid"})) for name in PAYLOADS]
+        with self.begin() as connection:
+            mine = self.table.c.workflow_uuid == job_id
+            if not connection.execute(sa.delete(self.table).where(mine, condition)).rowcount:
+                return False
+            for table in others:
+                connection.execute(sa.delete(table).where(table.c.workflow_uuid == job_id))
+        return True
 
     def close(self) -> None:
         """Give the connections back."""

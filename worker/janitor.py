@@ -12,10 +12,11 @@ import time
 from collections.abc import Callable
 
 from chamfer_morph.worker import liveness
+from chamfer_morph.worker.absent_slots import AbsentSlots
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
 from chamfer_morph.worker.retention.steady_clock import SteadyClock
@@ -99,7 +100,8 @@ def delete_expired(
     def delete(job: str) -> None:
         record = queue.get(job)
         sizes.forget(job)  # one that goes on meanwhile is measured again when it has finished
-        if record is not None and delete_if_unchanged(queue, deletions, record):
+        if record is not None and deletions.delete(record):
+            log.info("job %s has expired", job)
             deleted.append(job)
 
     if settings.retention_days and by_age:
@@ -121,21 +123,6 @@ def delete_expired(
                     delete(job)
                     excess -= size
     return deleted
-
-
-def delete_if_unchanged(queue: JobQueue, deletions: Deletions, record: JobRecord) -> bool:
-    """Delete a finished job, unless somebody has resumed, retried or deleted it since its record
-    was read.
-
-    Returns:
-        Whether it has been deleted.
-    """  # noqa: D205
-    now = queue.get(record.id)
-    if now is None or not now.state.finished or now.finished_at != record.finished_at:
-        return False
-    log.info("job %s has expired", record.id)
-    deletions.delete(record.id)
-    return True
 
 
 def delete_abandoned_uploads(storage: Storage) -> list[str]:
@@ -163,6 +150,7 @@ def run(settings: Settings) -> None:
     clock = SteadyClock(settings.data_dir / "locks" / "clock")
     engine = database(settings, kept=1)
     webhooks, adoptions = Webhooks(engine), Adoptions(engine)
+    absent_slots = AbsentSlots(settings, engine, queue)
     delivery.start(settings)
 
     def adopt(executor: str) -> None:
@@ -182,6 +170,7 @@ def run(settings: Settings) -> None:
                 deletions.finish()
                 delete_abandoned_uploads(storage)
                 webhooks.forget_old()
+                absent_slots.forget()
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
             log.exception("the janitor has to try again")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from chamfer_morph.schemas import Device, ForkOrigin, Problem, Shape
+from chamfer_morph.schemas import Device, ForkOrigin, MeshShape, Problem, Shape
 from morph_engine.config import MorphConfig, stored_config
 from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
 
@@ -36,6 +36,11 @@ class JobSpec(BaseModel, frozen=True, extra="forbid"):
     def shapes(self) -> tuple[Shape, ...]:
         """All shapes in their order, from the source to the target."""
         return (self.source, *self.via, self.target)
+
+    @property
+    def meshes(self) -> list[str]:
+        """Digests of the meshes among them."""
+        return [shape.mesh for shape in self.shapes if isinstance(shape, MeshShape)]
 
     @property
     def frame_count(self) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
+from collections.abc import Collection
 from typing import BinaryIO
 
 import psycopg
@@ -23,6 +24,13 @@ from morph_engine.files import acquire
 
 SILENCE_SECONDS = 15
 WAIT_SECONDS = 0.2
+
+HELD_NUMBERS: sa.TextClause = sa.text(
+    "select classid::bigint, objid::bigint from pg_locks "
+    "where locktype = 'advisory' and objsubid = 1 and granted "
+    "and database = (select oid from pg_database where datname = current_database())"
+)
+"""Upper and lower 32 bits of the numbers of advisory locks that somebody holds."""
 
 
 def try_lock(settings: Settings, executor: str) -> FileLock | AdvisoryLock | None:
@@ -49,6 +57,21 @@ def wait_for_lock(
     while (lock := try_lock(settings, executor)) is None and time.monotonic() < deadline:
         time.sleep(WAIT_SECONDS)
     return lock
+
+
+def living(settings: Settings, engine: sa.Engine, executors: Collection[str]) -> set[str]:
+    """Those of some worker slots that live; one query on Postgres, however many there are.
+
+    Args:
+        settings: Where the locks are.
+        engine: The database of the queue.
+        executors: Names of the slots.
+    """
+    if not settings.on_postgres:
+        return {executor for executor in executors if _is_held(settings, executor)}
+    with engine.connect() as connection:
+        held = {high << 32 | low for high, low in connection.execute(HELD_NUMBERS)}
+    return {executor for executor in executors if _number(executor) % (1 << 64) in held}
 
 
 class FileLock:
@@ -85,10 +108,8 @@ class AdvisoryLock:
         connection = psycopg.connect(
             plain.render_as_string(hide_password=False), autocommit=True, **TIMEOUTS
         )
-        digest = hashlib.sha256(f"morph worker {executor}".encode()).digest()
-        number = int.from_bytes(digest[:8], "big", signed=True)
         connection.execute(f"set idle_session_timeout = '{SILENCE_SECONDS}s'")
-        row = connection.execute("select pg_try_advisory_lock(%s)", (number,)).fetchone()
+        row = connection.execute("select pg_try_advisory_lock(%s)", (_number(executor),)).fetchone()
         if not row or not row[0]:
             connection.close()
             return None
@@ -116,3 +137,16 @@ class AdvisoryLock:
     def release(self) -> None:
         """Close the session."""
         self._connection.close()
+
+
+def _is_held(settings: Settings, executor: str) -> bool:
+    lock = try_lock(settings, executor)
+    if lock is not None:
+        lock.release()
+    return lock is None
+
+
+def _number(executor: str) -> int:
+    """What Postgres knows a lock by: 64 bits with a sign."""
+    digest = hashlib.sha256(f"morph worker {executor}".encode()).digest()
+    return int.from_bytes(digest[:8], "big", signed=True)

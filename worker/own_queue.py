@@ -7,6 +7,8 @@ None of it gives an owner a place that was another's.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import sqlalchemy as sa
@@ -14,7 +16,7 @@ import sqlalchemy as sa
 from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.dbos_adapter import WorkflowTable
 from chamfer_morph.worker.job_state import statuses
-from chamfer_morph.worker.places import in_own_order, rank_in_front
+from chamfer_morph.worker.places import apart, in_own_order, rank_in_front
 
 WORKFLOW = "morph"
 QUEUE = "jobs"
@@ -65,7 +67,7 @@ class OwnQueue:
 
     def unpause(self, owner: str, first_place: int) -> None:
         """Start jobs of an owner again, from this place in the queue on."""
-        with self._workflows.begin() as connection:
+        with self._giving_places(owner) as connection:
             connection.execute(sa.delete(_PAUSED_OWNERS).where(_PAUSED_OWNERS.c.owner == owner))
             paused = connection.execute(self._waiting(owner, PAUSED_QUEUE)).all()
             for place, (job, *_) in enumerate(in_own_order(paused), first_place):
@@ -106,21 +108,36 @@ class OwnQueue:
         return True
 
     def order(self, owner: str) -> None:
-        """Give the queued jobs of an owner their places in the order that the owner wants."""
-        with self._workflows.begin() as connection:
+        """Give the queued jobs of an owner their places in the order that the owner wants.
+
+        Each has one of its own, or others would wait behind all that share one.
+        """
+        with self._giving_places(owner) as connection:
             jobs = connection.execute(self._waiting(owner, QUEUE)).all()
-            places = sorted(place for _, place, *_ in jobs)
+            places = apart(place for _, place, *_ in jobs)
             for (job, place, *_), better in zip(in_own_order(jobs), places, strict=True):
                 if place != better:
                     self._change(connection, job, priority=better)
 
-    def order_by_priority(self, owner: str, newest: int) -> None:
+    def order_newest(self, owner: str, job_id: str, priority: int) -> None:
         """The same after a job of this priority has been queued; often there is nothing to do."""
         c = self._workflows.table.c
-        later = c.attributes["priority"].as_integer() > newest
+        later = c.attributes["priority"].as_integer() > priority
         moved = c.attributes["first"].as_string().is_not(None)
-        if self._workflows.rows(self._waiting(owner, QUEUE).where(later | moved).limit(1)):
+        newest = self._workflows.table.alias()
+        its_place = sa.select(newest.c.priority).where(newest.c.workflow_uuid == job_id)
+        shared = (c.priority == its_place.scalar_subquery()) & (c.workflow_uuid != job_id)
+        if self._workflows.rows(self._waiting(owner, QUEUE).where(later | moved | shared).limit(1)):
             self.order(owner)
+
+    @contextmanager
+    def _giving_places(self, owner: str) -> Iterator[sa.Connection]:
+        """A transaction that gives places to jobs of an owner, one at a time for each of them."""
+        with self._workflows.begin() as connection:
+            if connection.dialect.name == "postgresql":  # SQLite has one writer anyway
+                lock = sa.func.hashtextextended(f"morph places {owner}", 0)
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(lock)))
+            yield connection
 
     def _move(self, owner: str, queue: str) -> None:
         c = self._workflows.table.c

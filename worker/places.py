@@ -23,6 +23,17 @@ def next_place(own: int | None, started: int | None, waiting: int | None) -> int
     return 1 + max(own or 0, started if started is not None else (waiting or 1) - 1)
 
 
+def apart(places: Iterable[int]) -> list[int]:
+    """Places in ascending order, no two the same: equal ones move behind each other.
+
+    Jobs that are queued at the same moment may have been given the same place.
+    """
+    moved: list[int] = []
+    for place in sorted(places):
+        moved.append(max(place, moved[-1] + 1) if moved else place)
+    return moved
+
+
 def in_own_order(jobs: Iterable[WaitingJob]) -> list[WaitingJob]:
     """Those moved to the front, the last moved first; then by priority; then by age.
 

@@ -5,6 +5,7 @@ else; owner, name and the like are attributes of that row.
 
 Owners take turns (start-time fair queuing, Goyal et al. 1996): a job's place in the queue is one
 more than that of its owner's last job, or than that of the job started last, whichever is larger.
+Of jobs that are queued at the same moment and so have the same place, all but one move on.
 DBOS starts jobs in the order of these places, which it calls priority. An owner's own priorities
 decide which of their jobs takes which of their places.
 """
@@ -29,8 +30,10 @@ from dbos import (
     WorkflowStatus,
 )
 from dbos import error as dbos_error
+from pydantic import BaseModel, Field, Json
 
 from chamfer_morph.schemas import JobState, Outcome, Problem
+from chamfer_morph.schemas.jobs import JobPlacement
 from chamfer_morph.worker import job_trace
 from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
@@ -85,6 +88,10 @@ class JobRecord:
         sweep: The sweep it belongs to, if any.
         priority: Smaller runs earlier among the owner's jobs.
         paused: Whether it waits until its owner ends a pause.
+        estimate: What it was expected to take [s].
+        via_names: Names of the shapes between its source and its target.
+        placement: Where it puts its shapes; None for one that an older version has queued.
+        reused_from: The job whose result it was given, if any.
         attributes: Everything that was attached to it.
         created_at, started_at, finished_at: Times in UTC, None while still to come.
         executor: The worker slot that runs it or ran it last.
@@ -100,6 +107,10 @@ class JobRecord:
     sweep: str | None
     priority: int
     paused: bool
+    estimate: float
+    via_names: list[str]
+    placement: JobPlacement | None
+    reused_from: str | None
     attributes: dict[str, Any]
     created_at: datetime
     started_at: datetime | None
@@ -112,6 +123,19 @@ class JobRecord:
     def age_and_id(self) -> tuple[int, str]:
         """Its place in a listing: when it was created [ms since 1970], and its id."""
         return round(self.created_at.timestamp() * 1000), self.id
+
+
+class _Attributes(BaseModel):
+    """What is attached to a job and has to be of a type; whoever reads the row relies on it."""
+
+    owner: str = ""
+    name: str = ""
+    sweep: str | None = None
+    priority: int = 0
+    estimate: float = Field(0, allow_inf_nan=False)
+    via_names: Json[list[str]] = []
+    placement: Json[JobPlacement] | None = None
+    reused_from: str | None = None
 
 
 class JobQueue:
@@ -197,7 +221,7 @@ class JobQueue:
         except dbos_error.DBOSWorkflowIDInUseError:
             return False
         self._settle(owner, queue)
-        self._own.order_by_priority(owner or NOBODY, priority)
+        self._own.order_newest(owner or NOBODY, job_id, priority)
         self.wake_workers()
         return True
 
@@ -283,11 +307,12 @@ class JobQueue:
         created = sa.cast(c.created_at, sa.BigInteger)  # SQLite may store fractions
         query = self._versions.add_columns(created)
         if owner is not None:
-            query = query.where(self._owned_by(owner))
+            few = sweep is not None
+            query = query.where(self._and_owned_by(owner) if few else self._owned_by(owner))
         if sweep is not None:
-            query = query.where(c.attributes["sweep"].as_string() == sweep)
+            query = query.where(self._workflows.attribute("sweep") == sweep)
         if method is not None:
-            query = query.where(c.attributes["method"].as_string() == method)
+            query = query.where(self._workflows.attribute("method") == method)
         if states:
             wanted = sorted({status for state in states for status in statuses(state)})
             query = query.where(c.status.in_(wanted))
@@ -458,6 +483,17 @@ class JobQueue:
         self._client.delete_workflow(job_id)
         self._cache.pop(job_id, None)
 
+    def delete_finished(self, job: JobRecord) -> bool:
+        """Forget a job that is finished as when its record was read; False if it has changed."""
+        c = self._table.c
+        ended, at = sa.cast(c.completed_at, sa.BigInteger), job.finished_at
+        states = sorted({status for s in JobState if s.finished for status in statuses(s)})
+        unchanged = ended == round(at.timestamp() * 1000) if at else ended.is_(None)
+        deleted = self._workflows.delete(job.id, c.status.in_(states) & unchanged)
+        if deleted:
+            self._cache.pop(job.id, None)
+        return deleted
+
     def running(self) -> dict[str, set[str]]:
         """Ids of the running jobs by the worker slot that holds them."""
         c = self._table.c
@@ -494,7 +530,7 @@ class JobQueue:
         except dbos_error.DBOSException as error:
             raise JobChangedError(str(error)) from error
         self._settle(owner, queue)
-        self._own.order_by_priority(owner or NOBODY, job.priority if job else 0)
+        self._own.order_newest(owner or NOBODY, job_id, job.priority if job else 0)
         self.wake_workers()
 
     def _settle(self, owner: str, queue: str) -> None:
@@ -583,6 +619,7 @@ def _record_or_none(status: WorkflowStatus) -> JobRecord | None:
 
 def _record(status: WorkflowStatus) -> JobRecord:
     attributes = status.attributes or {}
+    known = _Attributes.model_validate(attributes)
     arguments = (status.input or {"args": ()})["args"]
     deadline, ended = status.workflow_deadline_epoch_ms, status.completed_at
     late = deadline is not None and ended is not None and ended >= deadline
@@ -595,13 +632,17 @@ def _record(status: WorkflowStatus) -> JobRecord:
         state, outcome, problem = JobState.FAILED, None, UNREADABLE
     return JobRecord(
         id=status.workflow_id,
-        owner=str(attributes.get("owner", "")),
+        owner=known.owner,
         state=state,
         spec=spec,
-        name=str(attributes.get("name", "")),
-        sweep=attributes.get("sweep"),
-        priority=int(attributes.get("priority", 0)),
+        name=known.name,
+        sweep=known.sweep,
+        priority=known.priority,
         paused=state is JobState.QUEUED and status.queue_name == PAUSED_QUEUE,
+        estimate=known.estimate,
+        via_names=known.via_names,
+        placement=known.placement,
+        reused_from=known.reused_from,
         attributes=attributes,
         created_at=_time(status.created_at) or datetime.now(timezone.utc),
         started_at=_time(status.dequeued_at),

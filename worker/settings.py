@@ -66,6 +66,10 @@ class Settings(BaseSettings):
         description="Secret of the key `admin`, which is made or changed when the service starts.",
     )
     admin_key_file: Path | None = Field(None, description="A file that holds it instead.")
+    metrics_key: SecretStr = Field(
+        SecretStr(""),
+        description="Secret that Prometheus may send for `/metrics`, as its bearer token.",
+    )
     log_format: Literal["text", "json"] = Field(
         "text",
         description="Lines of the log of all processes: to be read, or JSON objects with the ids "
@@ -154,7 +158,11 @@ class Settings(BaseSettings):
         description="Pause before the second attempt, about tripled for each further one [s].",
     )
     watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
-    watchers_per_key: int = Field(200, gt=0, description="Event streams of one key among them.")
+    watchers_per_key: int = Field(
+        200,
+        gt=0,
+        description="Event streams of one key among them, with those by share links to its jobs.",
+    )
 
     @property
     def system_database_url(self) -> str:
@@ -182,6 +190,13 @@ class Settings(BaseSettings):
                 f"The key `admin` has fewer than {SHORTEST_SECRET} characters.",
                 "Make a longer one: openssl rand -hex 32.",
             )
+        return secret
+
+    @field_validator("metrics_key")
+    @classmethod
+    def _check_length(cls, secret: SecretStr) -> SecretStr:
+        if 0 < len(secret.get_secret_value()) < SHORTEST_SECRET:
+            raise ValueError(f"it has fewer than {SHORTEST_SECRET} characters")
         return secret
 
     @field_validator("webhook_networks")

@@ -51,8 +51,14 @@ class WorkerSlots:
             except sa.exc.IntegrityError:  # another process was quicker
                 pass
 
+    def unregister(self, name: str) -> None:
+        """Forget a slot that has ended; a paused one stays, to be paused when it begins again."""
+        gone = (_TABLE.c.name == name) & ~_TABLE.c.paused
+        with self._engine.begin() as connection:
+            connection.execute(sa.delete(_TABLE).where(gone))
+
     def all(self) -> dict[str, bool]:
-        """Every slot that has ever worked for this service, and whether it is paused."""
+        """Every slot that works for this service or has ended of late, and whether it is paused."""
         query = sa.select(_TABLE.c.name, _TABLE.c.paused).order_by(_TABLE.c.name)
         with self._engine.connect() as connection:
             return {name: paused for name, paused in connection.execute(query)}

@@ -338,7 +338,9 @@ class World:
         if job := self._pick("delete"):
             self._jobs.remove(job)
             self._let_go(job)
-            self.queue.delete(job)
+            record = self.queue.get(job)
+            if record is None or not self.queue.delete_finished(record):
+                raise Violation("a finished job cannot be deleted")
             self.ground.remove(job)
         return job
 

@@ -18,7 +18,7 @@ from dbos import error as dbos_error
 from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.job_state import job_state
 from chamfer_morph.worker.own_queue import PAUSED_QUEUE, QUEUE
-from chamfer_morph.worker.places import in_own_order, next_place, rank_in_front
+from chamfer_morph.worker.places import apart, in_own_order, next_place, rank_in_front
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 
 
@@ -169,13 +169,17 @@ class MemoryOwnQueue:
 
     def order(self, owner: str) -> None:
         jobs = self._waiting(owner, QUEUE)
-        places = sorted(place for _, place, *_ in jobs)
+        places = apart(place for _, place, *_ in jobs)
         for (job, *_), better in zip(in_own_order(jobs), places, strict=True):
             self._rows.of[job].place = better
 
-    def order_by_priority(self, owner: str, newest: int) -> None:
+    def order_newest(self, owner: str, job_id: str, priority: int) -> None:
         jobs = self._waiting(owner, QUEUE)
-        if any(priority > newest or first is not None for _, _, priority, first in jobs):
+        mine = self._rows.of[job_id].place if job_id in self._rows.of else None
+        if any(
+            other > priority or first is not None or (place == mine and job != job_id)
+            for job, place, other, first in jobs
+        ):
             self.order(owner)
 
     def _waiting(self, owner: str, queue: str | None) -> list[tuple[Any, ...]]:
@@ -241,6 +245,13 @@ class MemoryQueue(JobQueue):
     def wake_workers(self) -> None:
         pass
 
+    def delete_finished(self, job: JobRecord) -> bool:
+        row = self.rows.of.get(job.id)
+        if row is None or not row.state.finished:
+            return False
+        del self.rows.of[job.id]
+        return True
+
     def close(self) -> None:
         pass
 
@@ -258,6 +269,10 @@ class MemoryQueue(JobQueue):
             sweep=None,
             priority=row.attributes["priority"],
             paused=state is JobState.QUEUED and row.queue == PAUSED_QUEUE,
+            estimate=0,
+            via_names=[],
+            placement=None,
+            reused_from=None,
             attributes=row.attributes,
             created_at=datetime.fromtimestamp(row.created_at / 1000, timezone.utc),
             started_at=None,

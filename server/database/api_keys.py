@@ -26,7 +26,11 @@ class ApiKeyStore:
     def callers(self) -> dict[str, Caller]:
         """Every key's caller by the digest of its secret."""
         keys = [(row.digest, _key(row)) for row in self._rows()]
-        return {digest: Caller(key.name, key.scopes[-1]) for digest, key in keys if key.scopes}
+        return {
+            digest: Caller(key.name, key.scopes[-1], digest=digest)
+            for digest, key in keys
+            if key.scopes
+        }
 
     def all(self) -> list[Key]:
         """All keys, the oldest first."""

@@ -39,11 +39,13 @@ class Caller:
             has a space, which no key's has.
         scope: The widest scope of the key.
         shared: The one job that a share link shows; None for a key.
+        digest: What tells its secret from others; empty without keys.
     """
 
     name: str
     scope: Scope
     shared: SharedJob | None = None
+    digest: str = ""
 
     def has_scope(self, scope: Scope) -> bool:
         """Whether the key includes a scope."""

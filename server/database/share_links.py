@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Collection
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Session
@@ -22,14 +23,17 @@ class ShareLinkStore:
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine
 
-    def caller(self, secret: str) -> Caller | None:
-        """Whoever has a link; None if there is none with this secret, or not any more."""
-        query = sa.select(ShareLinkRow).where(ShareLinkRow.digest == secret_digest(secret))
+    def callers(self, digests: Collection[str]) -> dict[str, Caller]:
+        """Whoever has one of the links with these digests, by digest, without those revoked."""
+        query = sa.select(ShareLinkRow).where(ShareLinkRow.digest.in_(digests))
         with Session(self._engine) as session:
-            row = session.scalars(query).one_or_none()
-        if row is None:
-            return None
-        return Caller(f"link {row.id}", "read", SharedJob(row.job, row.job_created_at))
+            rows = session.scalars(query).all()
+        return {
+            row.digest: Caller(
+                f"link {row.id}", "read", SharedJob(row.job, row.job_created_at), row.digest
+            )
+            for row in rows
+        }
 
     def of_job(self, job: SharedJob) -> list[ShareLink]:
         """The links to a job, the oldest first."""

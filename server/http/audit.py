@@ -44,9 +44,8 @@ class AuditMiddleware:
 
     A line is one JSON object: `time` in UTC, `request`, `key` (empty without one), `operation`,
     `method`, `path`, `job` (that is made or meant; or empty), `status`, and `seconds` until the
-    answer began. A refused request has a line,
-    too; a status of 0 says that nothing was answered. No line has a body, a query or a secret. As
-    long as there are no keys, only refused requests have lines: all others come from one person.
+    answer began. A refused request has a line, too; a status of 0 says that nothing was answered.
+    No line has a body, a query or a secret.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -77,9 +76,15 @@ class AuditMiddleware:
             await self.app(scope, receive, send_named)
         finally:
             caller = scope.get("state", {}).get("caller")
-            if scope["method"] not in READING and (caller is None or caller.name):
+            if scope["method"] not in READING:
                 line = _line(scope, caller, name, status, seconds) | {"job": _job(scope, made)}
                 _log.info(json.dumps(line), extra={"fields": line | {"message": "request"}})
+
+
+def log_command(operation: str, path: str) -> None:
+    """Log what a command of the server has changed, by the operation of the API that does so."""
+    line = {"time": _now(), "operation": operation, "path": path}
+    _log.info(json.dumps(line), extra={"fields": line | {"message": "command"}})
 
 
 def _job(scope: Scope, made: str) -> str:
@@ -93,7 +98,7 @@ def _line(
     scope: Scope, caller: Caller | None, name: str, status: int, seconds: float
 ) -> dict[str, Any]:
     return {
-        "time": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+        "time": _now(),
         "request": name,
         "key": caller.name if caller else "",
         "operation": getattr(scope.get("route"), "operation_id", None) or "",
@@ -102,3 +107,7 @@ def _line(
         "status": status,
         "seconds": round(seconds, 4),
     }
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -34,7 +34,8 @@ class LimitedProtocol(HttpToolsProtocol):
     """A connection with limits.
 
     Attributes:
-        waiting: The connections that have not sent a whole head yet, the oldest first.
+        waiting: The connections that wait for a head: for the first one, or for the next one once a
+            request is answered. Those that have waited longest come first.
         late: The connections whose time was over when their timers said so. They end one at a time,
             and what else there is to do comes in between: thousands may be late at once.
     """
@@ -56,7 +57,9 @@ class LimitedProtocol(HttpToolsProtocol):
         self.waiting[self] = None
         self._begin_deadline()
         if len(self.connections) > most_connections():
-            next(iter(self.waiting)).transport.abort()
+            longest = next(iter(self.waiting))
+            del self.waiting[longest]
+            longest.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget a connection."""
@@ -90,12 +93,19 @@ class LimitedProtocol(HttpToolsProtocol):
         self._in_head = True
         self._end_deadline()
         super().on_message_complete()
+        self._wait_if_idle()
 
     def on_response_complete(self) -> None:
         """A request is answered; nobody needs what it has not sent yet."""
         super().on_response_complete()
         if not self._in_head:
             self._begin_deadline()
+        self._wait_if_idle()
+
+    def _wait_if_idle(self) -> None:
+        """Get in line where all requests that have come are answered."""
+        if self._in_head and self.cycle.response_complete and not self.transport.is_closing():
+            self.waiting[self] = None
 
     def _receive_head(self, data: bytes) -> bytes:
         """Parse as much as a head may have; what lies behind it is returned."""

@@ -35,7 +35,7 @@ MODELS = (
 """Those that FastAPI does not find, or of which it does not tell that a default is null."""
 
 BODY_ERRORS = (400, 408, 409, 413, 415, 422, 429)
-OPEN = ("livez", "readyz", "metrics")
+OPEN = ("livez", "readyz")
 
 JOB_ID = {"type": "string", "pattern": f"^{ids.PATTERN}$"}
 PATH_SCHEMAS: dict[str, dict[str, Any]] = {
@@ -58,6 +58,7 @@ FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
     "getResult": (400, 409, 416), "getExportFile": (400, 409, 416),
     "getMeshFile": (400, 416), "getLog": (400, 416),
     "getSurface": (413,), "getEvents": (429,), "makeShareLink": (429,),
+    "testWebhook": (429,),
     "readyz": (503,),
 }  # fmt: skip
 """What neither the address nor the body of an operation tells."""

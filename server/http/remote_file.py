@@ -15,7 +15,8 @@ from chamfer_morph.server.http.conditional import etag_headers, not_modified
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.storage import RemoteFile
 
-RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+RANGE = re.compile(r"bytes=(\d{0,20})-(\d{0,20})")
+"""No file has a size of more digits; what asks for a part beyond is answered with the whole."""
 
 
 async def remote_file_response(

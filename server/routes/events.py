@@ -74,7 +74,7 @@ async def get_events(
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))
     if accepts_stream(request.headers.get("accept", "")):
-        return EventStream(context.event_hub.subscribe(job.id, caller.name), after)
+        return EventStream(context.event_hub.subscribe(job, caller), after)
     return await anyio.to_thread.run_sync(_page, job, after, limit, context)
 
 

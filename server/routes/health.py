@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
+import threading
 import time
 from collections import Counter as Counts
 from collections.abc import Iterator
 from typing import Literal, get_args
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
@@ -17,7 +18,8 @@ from pydantic import BaseModel
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.schemas import Problem, WorkerStatus
-from chamfer_morph.server.context import Context
+from chamfer_morph.server.auth import require_metrics_key
+from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import is_disk_full, unavailable
 from chamfer_morph.server.routes.workers import worker_statuses
 from chamfer_morph.worker.storage import StoreUnavailableError
@@ -25,6 +27,9 @@ from chamfer_morph.worker.storage import StoreUnavailableError
 router: APIRouter = APIRouter(tags=["health"])
 
 FAILURE_KINDS = get_args(Problem.model_fields["kind"].annotation)
+FIGURES_SECONDS = 5.0
+"""How long figures of the database are told again: however often somebody asks, it is not."""
+
 WORKER_STATES = ("busy", "idle", "paused", "dead")
 
 
@@ -90,7 +95,7 @@ class Metrics:
         self.registry.register(self.adoptions)
         self.workers: Gauge = Gauge(
             "morph_workers",
-            "Worker slots: busy, idle, paused, or dead.",
+            "Worker slots: busy, idle, paused, or dead, which are gone and have jobs.",
             ("state",),
             registry=self.registry,
         )
@@ -107,11 +112,33 @@ class Metrics:
         self.streams: Gauge = Gauge(
             "morph_event_streams", "Open event streams.", registry=self.registry
         )
+        self._read_at = float("-inf")
+        self._one_at_a_time = threading.Lock()
+
+    def refresh(self, context: ServerContext) -> None:
+        """Read what database and disk tell, unless that was done a few seconds ago."""
+        with self._one_at_a_time:
+            if time.monotonic() - self._read_at < FIGURES_SECONDS:
+                return
+            for state, count in context.queue.counts().items():
+                self.jobs.labels(state.value).set(count)
+            failures = context.failures.since_last_call()
+            for kind in {*FAILURE_KINDS, *failures}:
+                self.failures.labels(kind).inc(failures[kind])
+            self.adoptions.value = context.adoptions.total()
+            workers = Counts(map(_state, worker_statuses(context)))
+            for name in WORKER_STATES:
+                self.workers.labels(name).set(workers[name])
+            since = context.queue.waiting_since()
+            self.queue_age.set(max(time.time() - since.timestamp(), 0) if since else 0)
+            self.disk_free.set(shutil.disk_usage(context.storage.root).free)
+            self._read_at = time.monotonic()
 
 
 def _state(worker: WorkerStatus) -> str:
+    """The state that a slot counts as; one that is gone and has left no job counts as none."""
     if not worker.alive:
-        return "dead"
+        return "dead" if worker.job else ""
     return "busy" if worker.job else "paused" if worker.paused else "idle"
 
 
@@ -179,22 +206,15 @@ def readyz(context: Context) -> Health:
     summary="Figures for Prometheus",
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+    dependencies=[Depends(require_metrics_key)],
 )
 def metrics(request: Request, context: Context) -> Response:
-    """Requests, their times, jobs, workers and open streams, in Prometheus's text format."""
+    """Requests, their times, jobs, workers and open streams, in Prometheus's text format.
+
+    With keys it needs that of the variable `MORPH_METRICS_KEY`, or one with the scope admin.
+    """
     metrics: Metrics = request.app.state.metrics
-    for state, count in context.queue.counts().items():
-        metrics.jobs.labels(state.value).set(count)
-    failures = context.failures.since_last_call()
-    for kind in {*FAILURE_KINDS, *failures}:
-        metrics.failures.labels(kind).inc(failures[kind])
-    metrics.adoptions.value = context.adoptions.total()
-    workers = Counts(map(_state, worker_statuses(context)))
-    for name in WORKER_STATES:
-        metrics.workers.labels(name).set(workers[name])
-    since = context.queue.waiting_since()
-    metrics.queue_age.set(max(time.time() - since.timestamp(), 0) if since else 0)
-    metrics.disk_free.set(shutil.disk_usage(context.storage.root).free)
+    metrics.refresh(context)
     metrics.streams.set(context.event_hub.subscribers)
     return Response(
         generate_latest(metrics.registry), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4}

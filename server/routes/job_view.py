@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from chamfer_morph.schemas import Job, JobState, Progress
-from chamfer_morph.schemas.jobs import JobPlacement
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.worker.progress import JobProgress, read_progress
 from chamfer_morph.worker.queue import RECORD_CACHE_SIZE, JobRecord
@@ -19,24 +17,13 @@ def file_stem(record: JobRecord) -> str:
     """What to call files of a job, as `morph run` would: sphere-to-bunny."""
     names = [
         str(record.attributes.get("source_name", "source")),
-        *_via_names(record),
+        *record.via_names,
         str(record.attributes.get("target_name", "target")),
     ]
     plain = [re.sub(r"\W+", "-", Path(name).stem, flags=re.ASCII).strip("-") for name in names]
     stem = "-to-".join(name or "shape" for name in plain)
     partial = "" if record.state is JobState.SUCCEEDED else "-partial"
     return f"{stem}{partial}"
-
-
-def _via_names(record: JobRecord) -> list[str]:
-    names: list[str] = json.loads(str(record.attributes.get("via_names", "[]")))
-    return names
-
-
-def placement_of(record: JobRecord) -> JobPlacement | None:
-    """Where a job puts its shapes; None for one that an older version has queued."""
-    stored = record.attributes.get("placement")
-    return JobPlacement.model_validate_json(str(stored)) if stored else None
 
 
 class _JobSnapshot(NamedTuple):
@@ -83,9 +70,9 @@ def _to_job(snapshot: _JobSnapshot) -> Job:
         via=list(record.spec.via),
         target=record.spec.target,
         source_name=str(record.attributes.get("source_name", "")),
-        via_names=_via_names(record),
+        via_names=record.via_names,
         target_name=str(record.attributes.get("target_name", "")),
-        placement=placement_of(record),
+        placement=record.placement,
         method=config.method.name,
         preset=str(record.attributes.get("preset", config.preset)),
         seed=config.seed,
@@ -117,7 +104,7 @@ def _reused_from(record: JobRecord) -> str | None:
     """The job whose result it has; one that a worker has computed since has its own."""
     if record.state is not JobState.SUCCEEDED or record.executor is not None:
         return None
-    return record.attributes.get("reused_from")
+    return record.reused_from
 
 
 def _seconds_left(snapshot: _JobSnapshot) -> float | None:
@@ -129,7 +116,7 @@ def _seconds_left(snapshot: _JobSnapshot) -> float | None:
     record = snapshot.record
     if record.state.finished:
         return None
-    estimated = float(record.attributes.get("estimate", 0))
+    estimated = record.estimate
     measured = snapshot.progress.seconds_left
     left = estimated if measured is None else measured
     if record.state is JobState.QUEUED:

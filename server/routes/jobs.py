@@ -11,7 +11,7 @@ from fastapi import APIRouter, Body, Header, Query, Request, Response
 from fastapi.openapi.models import Example
 from starlette.datastructures import UploadFile
 
-from chamfer_morph.schemas import ForkRequest, Job, JobPage, JobRequest, JobState, MeshShape
+from chamfer_morph.schemas import ForkRequest, Job, JobPage, JobRequest, JobState
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.auth import AuthenticatedRoute, JobReader, Reader, Submitter
 from chamfer_morph.server.context import Context, ServerContext
@@ -35,8 +35,8 @@ from chamfer_morph.server.routes.job_lookup import (
 )
 from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
-from chamfer_morph.server.submission import idempotent_id, prepare, submit
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.server.submission import check_meshes, idempotent_id, prepare, submit
+from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
 
 router: APIRouter = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
@@ -193,7 +193,8 @@ def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
     """Forget a finished job and all its files."""
     check_allowed(job, "delete")
     with suppress(StoreUnavailableError), context.deletions.noted(job.id):
-        context.queue.delete(job.id)
+        if not context.queue.delete_finished(job):
+            raise JobChangedError("The job is not finished any more.")
         context.share_links.remove_of_job(job.id)
         context.cancel_computations(job.id)
         context.storage.remove_job(job.id)
@@ -221,9 +222,10 @@ def put_job_first(caller: Submitter, job: VisibleJob, context: Context) -> Job:
 def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     """Let a failed, cancelled or timed out job go on from its last frame."""
     check_allowed(job, "resume")
-    _check_shapes(job, context)
-    with context.quotas.letting_in_jobs(job.owner):
-        context.queue.resume(job.id)
+    with context.mesh_locks.holding(job.spec.meshes):
+        check_meshes(job.spec, context)
+        with context.quotas.letting_in_jobs(job.owner):
+            context.queue.resume(job.id)
     context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
 
@@ -267,10 +269,11 @@ def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
             "A fork cannot begin anew: its first frames are another job's.",
             f"Fork job {job.spec.fork.job} again.",
         )
-    _check_shapes(job, context)
-    with context.quotas.letting_in_jobs(job.owner):
-        context.cancel_computations(job.id)
-        context.queue.retry(job.id)
+    with context.mesh_locks.holding(job.spec.meshes):
+        check_meshes(job.spec, context)
+        with context.quotas.letting_in_jobs(job.owner):
+            context.cancel_computations(job.id)
+            context.queue.retry(job.id)
     context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
 
@@ -337,11 +340,3 @@ async def _text(part: UploadFile | str, max_bytes: int) -> bytes | str:
     if part.size is None or part.size > max_bytes:
         raise too_large(max_bytes)
     return await part.read()
-
-
-def _check_shapes(job: JobRecord, context: ServerContext) -> None:
-    for shape in job.spec.shapes:
-        if isinstance(shape, MeshShape) and context.storage.mesh_file(shape.mesh) is None:
-            raise ProblemError(
-                409, f"The mesh {shape.mesh} has been deleted.", "Upload it again first."
-            )

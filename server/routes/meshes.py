@@ -152,21 +152,8 @@ def delete_mesh(mesh_id: str, caller: Submitter, context: Context) -> None:
     Refused while a job that is not finished uses it.
     """
     find_mesh(mesh_id, caller, context)
-    own = context.meshes.get(caller.name, mesh_id) is not None
-    users = _unfinished_users(mesh_id, context)
-    visible = [job_id for job_id, owner in users if caller.can_see(owner)]
-    if visible:
-        raise ProblemError(
-            409,
-            f"{len(visible)} unfinished job(s) use this mesh, such as {visible[0]}.",
-            "Wait for them, or cancel them.",
-        )
-    if users and context.meshes.is_sole_owner(caller.name, mesh_id):
-        raise ProblemError(
-            409, "An unfinished job of another key uses this mesh.", "Try again once it is done."
-        )
-    if context.meshes.remove(caller.name if own else caller.owner_filter, mesh_id):
-        context.storage.remove_mesh(mesh_id)
+    with context.mesh_locks.holding([mesh_id]):
+        _delete(mesh_id, caller, context)
     context.quotas.invalidate(caller.name)
 
 
@@ -260,15 +247,43 @@ def _store(
     upload: Upload, report: dict[str, Any] | None, caller: Caller, context: ServerContext
 ) -> tuple[MeshRow, bool]:
     known = context.meshes.get(caller.name, upload.sha256) is not None
-    with context.quotas.storing_mesh(caller.name, 0 if known else upload.size_bytes):
+    with (
+        context.mesh_locks.holding([upload.sha256]),
+        context.quotas.storing_mesh(caller.name, 0 if known else upload.size_bytes),
+    ):
         if report is not None:
             suffix = mesh_suffix(upload.name)
             context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
+        elif context.storage.mesh_file(upload.sha256) is None:  # it was there when it was looked at
+            raise _deleted_meanwhile()
         new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
     row = context.meshes.get(caller.name, upload.sha256)
     if row is None:
-        raise ProblemError(409, "The mesh has been deleted meanwhile.", "Upload it again.")
+        raise _deleted_meanwhile()
     return row, new
+
+
+def _deleted_meanwhile() -> ProblemError:
+    return ProblemError(409, "The mesh has been deleted meanwhile.", "Upload it again.")
+
+
+def _delete(mesh_id: str, caller: Caller, context: ServerContext) -> None:
+    """Forget an upload, unless an unfinished job needs it; its lock is held."""
+    own = context.meshes.get(caller.name, mesh_id) is not None
+    users = _unfinished_users(mesh_id, context)
+    visible = [job_id for job_id, owner in users if caller.can_see(owner)]
+    if visible:
+        raise ProblemError(
+            409,
+            f"{len(visible)} unfinished job(s) use this mesh, such as {visible[0]}.",
+            "Wait for them, or cancel them.",
+        )
+    if users and context.meshes.is_sole_owner(caller.name, mesh_id):
+        raise ProblemError(
+            409, "An unfinished job of another key uses this mesh.", "Try again once it is done."
+        )
+    if context.meshes.remove(caller.name if own else caller.owner_filter, mesh_id):
+        context.storage.remove_mesh(mesh_id)
 
 
 def _unfinished_users(mesh_id: str, context: ServerContext) -> list[tuple[str, str]]:

@@ -108,9 +108,7 @@ def _submit(
         raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
     digest = request_digest(request)
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
-    before = context.sweeps.get(sweep_id)
-    if before is not None and before.body != digest:
-        raise idempotency_conflict()
+    new = context.sweeps.get(sweep_id) is None
     common = request.model_dump(include=JobOptions.model_fields.keys() - {"overrides"})
     submissions = [
         prepare(
@@ -127,15 +125,20 @@ def _submit(
         )
         for source, target, method, seed in product(*axes)
     ]
-    adding = 0 if before else len(submissions)
-    with context.quotas.letting_in_jobs(caller.name, adding) as queued:
+    jobs = {
+        idempotent_id(f"job {index}", caller, sweep_id): submission
+        for index, submission in enumerate(submissions)
+    }
+    missing = jobs.keys() - context.queue.states(jobs)  # jobs may have been deleted since
+    with context.quotas.letting_in_jobs(caller.name, len(missing)) as queued:
         stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
-        for index, submission in enumerate(submissions):
-            job_id = idempotent_id(f"job {index}", caller, sweep_id)
-            submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
-            if adding:
+        if stored.body != digest:
+            raise idempotency_conflict()
+        for job_id, submission in jobs.items():
+            if job_id in missing:
+                submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
                 queued()
-    return _show(stored, context), before is None
+    return _show(stored, context), new
 
 
 def _show(stored: StoredSweep, context: ServerContext) -> Sweep:

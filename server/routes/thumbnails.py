@@ -14,7 +14,6 @@ from chamfer_morph.server.http.conditional import binary_responses, bytes_respon
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.particle_colors import find_colors
 from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
-from chamfer_morph.server.routes.job_view import placement_of
 from chamfer_morph.worker.frame_reader import Colors, count_frames, read_run_record
 from chamfer_morph.worker.queue import JobRecord
 from morph_engine.errors import ResultError
@@ -54,7 +53,7 @@ def _draw(path: Path, colors: Colors | None, job: JobRecord, context: ServerCont
 
     frame = find_frame(-1, job, context)
     spacing = job.spec.config.spacing
-    placement = placement_of(job)
+    placement = job.placement
     own = colors.at(frame.index) if colors else None
     up = placement.up if placement else "y"
     picture: bytes = thumbnail(frame.positions, spacing, own, up)

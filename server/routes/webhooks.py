@@ -93,7 +93,10 @@ def delete_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context)
 )
 def try_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context) -> Delivery:
     """Send a message of the type `test`; its deliveries tell what became of it."""
-    return context.webhooks.add_test(webhook.id)
+    with context.quotas.letting_in_test(
+        webhook.id, lambda: context.webhooks.pending_tests(webhook.id)
+    ):
+        return context.webhooks.add_test(webhook.id)
 
 
 @router.get(

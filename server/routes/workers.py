@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
 from chamfer_morph.schemas import WorkerStatus
 from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import not_found
-from chamfer_morph.worker.locks import try_lock
+from chamfer_morph.worker.locks import living
 
 router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=AuthenticatedRoute)
 
 
 @router.get("", operation_id="listWorkers", summary="List worker slots")
-def list_workers(caller: Admin, context: Context) -> list[WorkerStatus]:
-    """All slots that have ever worked for this service."""
-    return worker_statuses(context)
+def list_workers(
+    caller: Admin,
+    context: Context,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Slots of a page.")] = 1000,
+    after: Annotated[
+        str, Query(max_length=255, description="Only slots behind this one; the last of a page.")
+    ] = "",
+) -> list[WorkerStatus]:
+    """The slots that work for this service, and those that have not ended in order, by name.
+
+    Such a slot is forgotten after a day, unless it is paused.
+    """
+    return [worker for worker in worker_statuses(context) if worker.id > after][:limit]
 
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
@@ -34,28 +45,29 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
 
 
 def worker_statuses(context: ServerContext) -> list[WorkerStatus]:
-    """What each slot does."""
-    running = context.queue.running()
+    """What each slot does, by name; with those that have ended, and whose jobs nobody has yet."""
     slots = context.worker_slots.all()
-    return [_show(name, paused, running, context) for name, paused in slots.items()]
+    names = sorted({*slots, *context.queue.running()})
+    return _statuses({name: slots.get(name, False) for name in names}, context)
 
 
 def _pause(name: str, paused: bool, context: ServerContext) -> WorkerStatus:
     if name not in context.worker_slots.all():
         raise not_found("worker slot", name)
     context.worker_slots.pause(name, paused)
-    return _show(name, paused, context.queue.running(), context)
+    return _statuses({name: paused}, context)[0]
 
 
-def _show(
-    name: str, paused: bool, running: Mapping[str, Collection[str]], context: ServerContext
-) -> WorkerStatus:
-    lock = try_lock(context.settings, name)
-    if lock is not None:
-        lock.release()
-    return WorkerStatus(
-        id=name,
-        alive=lock is None,
-        paused=paused,
-        job=next(iter(running.get(name, ())), None),
-    )
+def _statuses(paused: Mapping[str, bool], context: ServerContext) -> list[WorkerStatus]:
+    """What some slots do, of which it is known whether they are paused."""
+    running = context.queue.running()
+    alive = living(context.settings, context.engine, paused)
+    return [
+        WorkerStatus(
+            id=name,
+            alive=name in alive,
+            paused=paused[name],
+            job=next(iter(running.get(name, ())), None),
+        )
+        for name in paused
+    ]

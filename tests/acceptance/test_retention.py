@@ -14,7 +14,6 @@ from chamfer_morph.worker.janitor import (
     ABANDONED_SECONDS,
     delete_abandoned_uploads,
     delete_expired,
-    delete_if_unchanged,
 )
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
@@ -59,10 +58,11 @@ def test_what_is_resumed_meanwhile_stays(cluster):
     queue.cancel(job)
     seen = queue.get(job)
     queue.resume(job)
-    assert not delete_if_unchanged(queue, deletions, seen)
+    assert not deletions.delete(seen)
     assert queue.get(job).state is JobState.QUEUED
     queue.cancel(job)
-    assert delete_if_unchanged(queue, deletions, queue.get(job))
+    assert not deletions.delete(seen), "it has ended again since"
+    assert deletions.delete(queue.get(job))
     assert queue.get(job) is None
     engine.dispose()
 
@@ -75,14 +75,15 @@ def test_a_deletion_that_breaks_off(cluster, monkeypatch):
     gone, kept, other = (cluster.submit() for _ in range(3))
     for job in (gone, kept, other):
         storage.claim(job, 0)
+        queue.cancel(job)
 
     def stop(*_):
         raise SystemExit
 
-    for job, owner, name in ((gone, storage, "remove_job"), (kept, queue, "delete")):
+    for job, owner, name in ((gone, storage, "remove_job"), (kept, queue, "delete_finished")):
         with monkeypatch.context() as patch, pytest.raises(SystemExit):
             patch.setattr(owner, name, stop)  # killed here
-            deletions.delete(job)
+            deletions.delete(queue.get(job))
     assert storage.job_dir(gone).exists()
     assert deletions.finish() == []  # somebody may be at it
     assert deletions.finish(abandoned_seconds=0) == [gone]

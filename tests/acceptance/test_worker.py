@@ -113,6 +113,16 @@ def test_idle_workers_are_told(new_cluster, own_postgres):
     cluster.wait_until(lambda: Adoptions(cluster.database).total() == 1, "the count of adoptions")
 
 
+def test_a_slot_that_is_told_to_end_is_forgotten(cluster):
+    """At once: only one that is killed is missed."""
+    worker = cluster.worker()
+    cluster.wait_for_state(cluster.submit(frames=1), JobState.SUCCEEDED)
+    assert cluster.slots.all() == {executor_id(0): False}
+    worker.terminate()
+    assert worker.wait() == 0
+    assert cluster.slots.all() == {}
+
+
 @pytest.mark.parametrize("process", ["worker", "janitor"])
 def test_a_probe_tells_a_process_that_hangs(new_cluster, process):
     """Whoever looks after containers asks so; one that goes on again is alive again."""

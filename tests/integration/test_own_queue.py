@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -26,8 +27,8 @@ def queue(tmp_path: Path, database_url: str) -> Iterator[JobQueue]:
 
 
 @pytest.fixture
-def submit(queue: JobQueue) -> Callable[[int], str]:
-    """Queues a job of a priority."""
+def submit(queue: JobQueue) -> Callable[..., str]:
+    """Queues a job of a priority, and of an owner."""
     spec = JobSpec(
         source=BuiltInShape(shape="sphere"),
         target=BuiltInShape(shape="star"),
@@ -35,9 +36,9 @@ def submit(queue: JobQueue) -> Callable[[int], str]:
         timeout_seconds=60,
     )
 
-    def enqueue(priority: int) -> str:
+    def enqueue(priority: int, owner: str = "ann") -> str:
         job = new_id()
-        assert queue.enqueue(spec, job_id=job, owner="ann", priority=priority)
+        assert queue.enqueue(spec, job_id=job, owner=owner, priority=priority)
         return job
 
     return enqueue
@@ -48,7 +49,21 @@ def order(queue: JobQueue, *jobs: str) -> list[int | None]:
     return [queue.position(job) for job in jobs]
 
 
-def test_an_urgent_job_overtakes(queue: JobQueue, submit: Callable[[int], str]) -> None:
+def test_jobs_that_are_queued_at_once_take_their_turns(
+    queue: JobQueue, submit: Callable[..., str]
+) -> None:
+    """Another owner's job waits for one of them, not for all that were given the same place."""
+    with ThreadPoolExecutor(40) as pool:
+        jobs = [*pool.map(submit, [100] * 40)]
+    assert {*order(queue, *jobs)} == {*range(40)}
+    assert order(queue, submit(100, "bob"))[0] in (0, 1, 2)
+    with ThreadPoolExecutor(40) as pool:
+        jobs += pool.map(submit, [100] * 20 + [1] * 20)
+    assert order(queue, submit(100, "bob"))[0] in (1, 2, 3, 4)
+    assert {*order(queue, *jobs)} < {*range(82)}
+
+
+def test_an_urgent_job_overtakes(queue: JobQueue, submit: Callable[..., str]) -> None:
     """One that was queued later and is more urgent; equal ones keep their order."""
     first, second, urgent, last = (submit(priority) for priority in (100, 100, 1, 100))
     assert order(queue, urgent, first, second, last) == [0, 1, 2, 3]
@@ -56,7 +71,7 @@ def test_an_urgent_job_overtakes(queue: JobQueue, submit: Callable[[int], str]) 
 
 @pytest.mark.parametrize("again", [JobQueue.retry, JobQueue.resume])
 def test_a_job_that_is_queued_again_is_the_last(
-    queue: JobQueue, submit: Callable[[int], str], again: Callable[[JobQueue, str], None]
+    queue: JobQueue, submit: Callable[..., str], again: Callable[[JobQueue, str], None]
 ) -> None:
     """The place that it had once would be before those of others."""
     jobs = [submit(100) for _ in range(3)]
@@ -66,7 +81,7 @@ def test_a_job_that_is_queued_again_is_the_last(
 
 
 def test_a_job_that_was_put_first_is_first_again(
-    queue: JobQueue, submit: Callable[[int], str]
+    queue: JobQueue, submit: Callable[..., str]
 ) -> None:
     """Its owner's wish holds when it is queued again."""
     jobs = [submit(100) for _ in range(3)]
@@ -78,7 +93,7 @@ def test_a_job_that_was_put_first_is_first_again(
 
 
 def test_what_is_not_queued_cannot_be_put_first(
-    queue: JobQueue, submit: Callable[[int], str]
+    queue: JobQueue, submit: Callable[..., str]
 ) -> None:
     """A job that has ended, or that there is not."""
     job = submit(100)

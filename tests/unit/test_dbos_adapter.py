@@ -7,7 +7,9 @@ import socket
 import sqlite3
 import sys
 import typing
+from collections.abc import Callable
 from contextlib import ExitStack, closing
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -60,8 +62,27 @@ def test_the_columns_hold_what_the_public_interface_says(queue: JobQueue) -> Non
     assert isinstance(status, WorkflowStatus) and status.priority == 9
 
 
-def test_equal_jobs_are_found_by_an_index(queue: JobQueue) -> None:
-    """The look-up reads only those, however many others there are."""
+@pytest.mark.parametrize(
+    ("look_up", "index"),
+    [
+        (lambda queue: queue.succeeded("ann", "0" * 64), "SEARCH * morph_jobs_by_run "),
+        (lambda queue: queue.newest(), "SCAN * morph_jobs_by_age"),
+        (lambda queue: queue.newest(owner="ann"), "SEARCH * morph_jobs_by_owner "),
+        (lambda queue: queue.newest(sweep="a"), "SEARCH * morph_jobs_by_sweep "),
+        (lambda queue: queue.newest(sweep="a", owner="ann"), "SEARCH * morph_jobs_by_sweep "),
+        (lambda queue: queue.newest(method="flow"), "SEARCH * morph_jobs_by_method "),
+        (
+            lambda queue: queue.newest(method="flow", owner="ann"),
+            "SEARCH * morph_jobs_by_owner_and_method ",
+        ),
+        (lambda queue: queue.counts("ann"), "SEARCH * COVERING INDEX morph_jobs_by_state "),
+        (lambda queue: queue.counts(), "SCAN * COVERING INDEX morph_jobs_by_state"),
+    ],
+)
+def test_jobs_are_found_by_an_index(
+    queue: JobQueue, look_up: Callable[[JobQueue], object], index: str
+) -> None:
+    """The look-up reads only those, however many others there are, and lists are sorted by it."""
     asked: list[tuple[str, tuple[object, ...]]] = []
 
     def note(_: object, __: object, statement: str, values: tuple[object, ...], *___: object):
@@ -69,11 +90,14 @@ def test_equal_jobs_are_found_by_an_index(queue: JobQueue) -> None:
 
     reader = queue._workflows._reader
     sa.event.listen(reader, "before_cursor_execute", note)
-    assert queue.succeeded("ann", "0" * 64) == []
+    look_up(queue)
     ((statement, values),) = asked
     with reader.connect() as connection:
         plan = connection.exec_driver_sql(f"explain query plan {statement}", values).all()
-    assert "morph_jobs_by_run" in str(plan)
+    first, *others = [row[-1] for row in plan]
+    assert fnmatch(first, f"{index}*"), first
+    if "morph_jobs_by_run" not in index:  # equal jobs are few
+        assert not any("ORDER BY" in step for step in others), others
 
 
 def test_finished_jobs_cost_a_submit_nothing(queue: JobQueue) -> None:

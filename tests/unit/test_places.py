@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from chamfer_morph.worker.places import in_own_order, next_place, rank_in_front
+from chamfer_morph.worker.places import apart, in_own_order, next_place, rank_in_front
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,15 @@ from chamfer_morph.worker.places import in_own_order, next_place, rank_in_front
 def test_next_place(own: int | None, started: int | None, waiting: int | None, place: int) -> None:
     """One more than the last job of the owner, and than that started last."""
     assert next_place(own, started, waiting) == place
+
+
+@pytest.mark.parametrize(
+    ("places", "moved"),
+    [([], []), ([4, 2, 9], [2, 4, 9]), ([3, 3, 3, 4, 9], [3, 4, 5, 6, 9]), ([5, 5, 6], [5, 6, 7])],
+)
+def test_no_two_places_are_the_same(places: list[int], moved: list[int]) -> None:
+    """Equal ones move behind each other, and those behind them make room."""
+    assert apart(places) == moved
 
 
 def test_own_order() -> None:

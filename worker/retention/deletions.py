@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 
 import sqlalchemy as sa
 
-from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 from chamfer_morph.worker.tables import create_missing
 
@@ -43,11 +43,19 @@ class Deletions:
         self._storage = storage
         create_missing(engine, _TABLE)
 
-    def delete(self, job: str) -> None:
-        """Forget a job and delete its files; where the object store is away, `finish` does that."""
-        with suppress(StoreUnavailableError), self.noted(job):
-            self._queue.delete(job)
-            self._storage.remove_job(job)
+    def delete(self, job: JobRecord) -> bool:
+        """Forget a finished job and delete its files.
+
+        Where the object store is away, `finish` deletes them.
+
+        Returns:
+            False if somebody has resumed, retried or deleted it since its record was read.
+        """
+        with suppress(StoreUnavailableError), self.noted(job.id):
+            if not self._queue.delete_finished(job):
+                return False
+            self._storage.remove_job(job.id)
+        return True
 
     @contextmanager
     def noted(self, job: str) -> Iterator[None]:

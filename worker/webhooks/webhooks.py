@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import uuid
 from collections.abc import Collection
@@ -10,6 +11,7 @@ from datetime import datetime, timezone
 from typing import Any
 
 import sqlalchemy as sa
+from pydantic import TypeAdapter
 
 from chamfer_morph.schemas import Delivery, DeliveryAttempt, JobState, Webhook
 from chamfer_morph.schemas.ids import new_id
@@ -45,6 +47,14 @@ _MESSAGES = sa.Table(
     sa.Column("attempts", sa.JSON, nullable=False, server_default="[]"),
 )
 """`due_at` is when to attempt it next; null once it is delivered or given up."""
+
+_ATTEMPTS = sa.cast(_MESSAGES.c.attempts, sa.Text).label("attempts")
+_MESSAGE_COLUMNS = [*(column for column in _MESSAGES.c if column.name != "attempts"), _ATTEMPTS]
+"""The attempts as text: one that is damaged must not keep the others from being read."""
+
+_ATTEMPTS_TYPE = TypeAdapter(list[DeliveryAttempt])
+
+_log = logging.getLogger(__name__)
 
 sa.Index("morph_webhook_messages_by_age", _MESSAGES.c.webhook, _MESSAGES.c.created_at)
 
@@ -150,7 +160,14 @@ class Webhooks:
         }
         with self._engine.begin() as connection:
             connection.execute(sa.insert(_MESSAGES).values(row))
-        return _delivery(row | {"job": None, "delivered": False, "attempts": []})
+        return _delivery(row | {"job": None, "delivered": False, "attempts": "[]"})
+
+    def pending_tests(self, webhook_id: str) -> int:
+        """How many tests of a webhook are neither delivered nor given up."""
+        c = _MESSAGES.c
+        pending = (c.webhook == webhook_id) & (c.type == "test") & c.due_at.is_not(None)
+        with self._engine.connect() as connection:
+            return int(connection.execute(sa.select(sa.func.count()).where(pending)).scalar_one())
 
     def deliveries(
         self, webhook_id: str, *, before: tuple[int, str] | None, limit: int
@@ -163,7 +180,7 @@ class Webhooks:
             limit: At most so many.
         """
         c = _MESSAGES.c
-        query = sa.select(_MESSAGES).where(c.webhook == webhook_id)
+        query = sa.select(*_MESSAGE_COLUMNS).where(c.webhook == webhook_id)
         if before is not None:
             query = query.where(sa.tuple_(c.created_at, c.id) < before)
         query = query.order_by(c.created_at.desc(), c.id.desc()).limit(limit)
@@ -188,7 +205,7 @@ class Webhooks:
             .subquery()
         )
         query = (
-            sa.select(_MESSAGES, _WEBHOOKS.c.url, _WEBHOOKS.c.secret)
+            sa.select(*_MESSAGE_COLUMNS, _WEBHOOKS.c.url, _WEBHOOKS.c.secret)
             .join(first, (c.webhook == first.c.webhook) & (c.due_at == first.c.due_at))
             .join(_WEBHOOKS, _WEBHOOKS.c.id == c.webhook)
             .order_by(c.due_at, c.id)
@@ -213,12 +230,13 @@ class Webhooks:
         c = _MESSAGES.c
         due = None if again_after_seconds is None else _now() + round(again_after_seconds * 1000)
         with self._engine.begin() as connection:
-            query = sa.select(c.attempts).where(c.id == message.id).with_for_update()
-            earlier = connection.execute(query).scalar_one_or_none()
-            if earlier is None:  # the webhook has been deleted meanwhile
+            query = sa.select(c.id, _ATTEMPTS).where(c.id == message.id).with_for_update()
+            row = connection.execute(query).mappings().one_or_none()
+            if row is None:  # the webhook has been deleted meanwhile
                 return
+            attempts = [*_attempts(row), attempt]
             values = {
-                "attempts": [*earlier, attempt.model_dump(mode="json")],
+                "attempts": [each.model_dump(mode="json") for each in attempts],
                 "delivered": not attempt.problem,
                 "due_at": due,
             }
@@ -236,7 +254,7 @@ def _webhook(row: Any) -> Webhook:
     return Webhook(
         id=row["id"],
         url=row["url"],
-        states=row["states"].split(),
+        states=[state for state in JobState if state.value in row["states"].split()],
         owner=row["owner"],
         created_at=_time(row["created_at"]),
     )
@@ -251,7 +269,7 @@ def _message(row: Any) -> Message:
         type=row["type"],
         job=row["job"],
         created_at=_time(row["created_at"]),
-        attempts=len(row["attempts"]),
+        attempts=len(_attempts(row)),
         due_at=row["due_at"],
     )
 
@@ -265,8 +283,17 @@ def _delivery(row: Any) -> Delivery:
         created_at=_time(row["created_at"]),
         state="pending" if pending else "delivered" if row["delivered"] else "failed",
         next_attempt_at=_time(row["due_at"]) if pending else None,
-        attempts=row["attempts"],
+        attempts=_attempts(row),
     )
+
+
+def _attempts(row: Any) -> list[DeliveryAttempt]:
+    """The attempts to deliver a message; none where they cannot be read."""
+    try:
+        return _ATTEMPTS_TYPE.validate_json(row["attempts"])
+    except ValueError:
+        _log.warning("the attempts of message %s cannot be read", row["id"])
+        return []
 
 
 def _now() -> int:

@@ -18,7 +18,7 @@ from tests.patience import PATIENCE
 OPERATIONS = [
     (operation["operationId"], method.upper(), path)
     for method, path, operation in contract.OPERATIONS
-    if path.startswith("/v1/")
+    if path not in ("/livez", "/readyz")
 ]
 
 SHARED = {
@@ -28,7 +28,14 @@ SHARED = {
 }  # fmt: skip
 """All that a share link reads; an operation that is new stays closed until it is named here."""
 
-ADMIN = {"listKeys", "makeKey", "revokeKey", "listWorkers", "pauseWorker", "unpauseWorker"}
+ADMIN = {
+    "listKeys", "makeKey", "revokeKey", "listWorkers", "pauseWorker", "unpauseWorker", "metrics",
+}  # fmt: skip
+
+BODIES: dict[str, dict[str, Any]] = {"forkJob": {"frame": 0}, "exportJob": {"format": "ply"}}
+"""Bodies with which an operation would be allowed."""
+
+METRICS_KEY = "m" * 32
 
 OF_OWNER = ("{job_id}", "{mesh_id}", "{sweep_id}", "{webhook_id}")
 """In addresses of what belongs to a key."""
@@ -48,10 +55,13 @@ class House:
     ids: dict[str, str]
     keys: dict[str, dict[str, str]]
 
-    def ask(self, method: str, path: str, who: str, **ids: str) -> httpx.Response:
-        """Ask for the things of `ann`, or for others."""
-        address = re.sub(r"{(\w+)}", lambda name: (self.ids | ids)[name[1]], path)
-        return self.http.request(method, address, headers=self.keys[who], timeout=PATIENCE)
+    def ask(
+        self, method: str, path: str, who: str, job_id: str | None = None, **more: Any
+    ) -> httpx.Response:
+        """Ask for the things of `ann`, or for another job; `more` is what the client takes."""
+        ids = self.ids | ({"job_id": job_id} if job_id else {})
+        address = re.sub(r"{(\w+)}", lambda name: ids[name[1]], path)
+        return self.http.request(method, address, headers=self.keys[who], timeout=PATIENCE, **more)
 
 
 @pytest.fixture(scope="module")
@@ -61,13 +71,15 @@ def house(tmp_path_factory: pytest.TempPathFactory, run: RunRecord) -> Iterator[
     from tests.integration.api.conftest import CUBE, serving
 
     folder = tmp_path_factory.mktemp("access")
-    settings = Settings(_env_file=None, data_dir=folder, port=0, host="127.0.0.1")
+    settings = Settings(
+        _env_file=None, data_dir=folder, port=0, host="127.0.0.1", metrics_key=METRICS_KEY
+    )
     with serving(settings) as api:
         yield _furnished(api, run, CUBE)
 
 
 def _furnished(api: Api, run: RunRecord, mesh: str) -> House:
-    keys: dict[str, dict[str, str]] = {"nobody": {}}
+    keys = {"nobody": {}, "prometheus": {"Authorization": f"Bearer {METRICS_KEY}"}}
 
     def make_key(name: str, *scopes: str) -> dict[str, str]:
         body = {"name": name, "scopes": list(scopes)}
@@ -138,9 +150,50 @@ def test_with_too_narrow_a_key(house: House, name: str, method: str, path: str) 
     ("name", "method", "path"), [o for o in OPERATIONS if any(part in o[2] for part in OF_OWNER)]
 )
 def test_with_another_key(house: House, name: str, method: str, path: str) -> None:
-    """What belongs to a key is not there for another; 422 tells of a body that never came."""
-    statuses = (404, 422) if method == "POST" else (404,)
-    check_refused(house.ask(method, path, "bob"), *statuses)
+    """What belongs to a key is not there for another, whatever else is wrong with the request."""
+    check_refused(house.ask(method, path, "bob"), 404)
+    if method == "POST":
+        check_refused(house.ask(method, path, "bob", json=BODIES.get(name, {})), 404)
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/v1/jobs"),
+        ("GET", "/v1/queue"),
+        ("POST", "/v1/queue/pause"),
+        ("POST", "/v1/queue/unpause"),
+    ],
+)
+def test_what_is_asked_for_by_owner(house: House, method: str, path: str) -> None:
+    """Another key's is forbidden, and so is that of a key that is not there."""
+    for owner in ("ann", "root", "nobody-at-all"):
+        check_refused(house.ask(method, path, "bob", params={"owner": owner}), 403)
+
+
+def test_lists_have_nothing_of_another_key(house: House) -> None:
+    """Whichever filter is asked for."""
+    assert house.ask("GET", "/v1/jobs", "bob").json()["items"] == []
+    assert house.ask("GET", "/v1/meshes", "bob").json()["items"] == []
+    assert house.ask("GET", "/v1/webhooks", "bob").json() == []
+    sweep = {"sweep": house.ids["sweep_id"]}
+    assert house.ask("GET", "/v1/jobs", "bob", params=sweep).json()["items"] == []
+    assert house.ask("GET", "/v1/jobs", "ann", params=sweep).json()["items"] != []
+
+
+@pytest.mark.parametrize("role", ["source", "target"])
+def test_the_mesh_of_another_key_as_an_end(house: House, role: str) -> None:
+    """It is as unknown as one that was never uploaded: here and in what is submitted."""
+    particles = "/v1/shapes/{shape}/particles"
+    for mesh in (house.ids["mesh_id"], "0" * 64):
+        answers = [
+            house.ask("GET", particles, "bob", params={role: mesh}),
+            house.ask("POST", "/v1/jobs", "bob", json=MORPH | {role: {"mesh": mesh}}),
+        ]
+        for answer in answers:
+            check_refused(answer, 422)
+            assert answer.json()["detail"] == f"There is no mesh {mesh}."
+    assert house.ask("GET", particles, "ann", params={role: house.ids["mesh_id"]}).is_success
 
 
 @pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
@@ -152,6 +205,16 @@ def test_with_a_share_link(house: House, name: str, method: str, path: str) -> N
     answer = house.ask(method, path, "link")
     assert answer.status_code == 200, answer.text[:300]
     check_refused(house.ask(method, path, "link", job_id=house.ids["other"]), 404)
+
+
+@pytest.mark.parametrize(("name", "method", "path"), OPERATIONS)
+def test_with_the_key_of_the_figures(house: House, name: str, method: str, path: str) -> None:
+    """It opens them and nothing else."""
+    answer = house.ask(method, path, "prometheus")
+    if name == "metrics":
+        assert answer.status_code == 200 and "morph_jobs" in answer.text
+    else:
+        check_refused(answer, 401)
 
 
 def test_the_lists_here_are_of_the_contract() -> None:

@@ -9,7 +9,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
 from types import FrameType
@@ -66,6 +66,27 @@ def test_a_row_that_cannot_be_read_hides_no_other(either: Api, inputs: str) -> N
         if cursor is None:
             break
     assert found == [jobs[3], jobs[2], jobs[0]]
+    assert either.http.get(f"/v1/jobs/{jobs[1]}").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("placement", "{"), ("placement", "[]"), ("placement", 5), ("placement", '{"up": "y"}'),
+        ("via_names", "no"), ("via_names", "[1]"), ("via_names", "3"), ("estimate", "soon"),
+        ("estimate", []), ("sweep", 5), ("reused_from", {}), ("owner", 1), ("name", None),
+        ("priority", {}),
+    ],
+)  # fmt: skip
+def test_a_damaged_attribute_hides_no_other(either: Api, name: str, value: Any) -> None:
+    """What is attached to a job is looked at when its row is read."""
+    jobs = [either.submit(overrides=COARSE)["id"] for _ in range(3)]
+    record = either.context.queue.get(jobs[1])
+    assert record is not None
+    change(either, jobs[1], attributes=record.attributes | {name: value})
+    page = either.http.get("/v1/jobs")
+    assert page.status_code == 200, page.text
+    assert [job["id"] for job in page.json()["items"]] == [jobs[2], jobs[0]]
     assert either.http.get(f"/v1/jobs/{jobs[1]}").status_code == 404
 
 
@@ -281,6 +302,23 @@ def test_racing_requests_are_conflicts_at_worst(either: Api, run: RunRecord) -> 
             answers = [*pool.map(act, actions)]
         assert set(answers) <= {202, 204, 404, 409}, answers
         assert either.http.get("/v1/jobs").status_code == 200
+
+
+def test_a_job_that_is_resumed_meanwhile_stays(
+    either: Api, run: RunRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the look at a job that is to be deleted and its deletion it may change."""
+    job = either.finished(run)
+    noted = either.context.deletions.noted
+
+    def resume_first(job_id: str) -> AbstractContextManager[None]:
+        either.context.queue.resume(job_id)
+        return noted(job_id)
+
+    monkeypatch.setattr(either.context.deletions, "noted", resume_first)
+    assert either.http.delete(f"/v1/jobs/{job}").status_code == 409
+    assert either.http.get(f"/v1/jobs/{job}").json()["state"] == "queued"
+    assert either.http.get(f"/v1/jobs/{job}/frames/1").status_code == 200
 
 
 def test_a_job_goes_although_its_files_cannot_now(

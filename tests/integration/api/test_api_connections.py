@@ -136,6 +136,28 @@ def test_slow_connections_leave_room(
         assert not answer(slow[0])
 
 
+def test_idle_connections_leave_room(
+    make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that have been answered and are kept for another request end for others, too."""
+    LimitedProtocol.waiting.clear()  # those of other tests
+    monkeypatch.setattr(connection_limits, "most_connections", lambda: 50)
+    api = make_api()
+    request = b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with ExitStack() as stack:
+        idle = [stack.enter_context(connection(api)) for _ in range(50)]
+        for plain in [*idle, idle[0]]:
+            plain.sendall(request)
+            assert plain.recv(1 << 16).startswith(b"HTTP/1.1 200")
+        for _ in range(20):
+            newcomer = stack.enter_context(connection(api))
+            newcomer.sendall(request)
+            assert newcomer.recv(1 << 16).startswith(b"HTTP/1.1 200")
+        assert not answer(idle[1]), "it has been idle for longest"
+        idle[0].sendall(request)
+        assert idle[0].recv(1 << 16).startswith(b"HTTP/1.1 200"), "it has asked again since"
+
+
 @pytest.mark.usefixtures("impatient")
 def test_late_connections_end_one_at_a_time(api: Api) -> None:
     """Whoever else wants something comes in between, however many are late at once."""

@@ -11,11 +11,12 @@ import pytest
 from chamfer_morph.schemas import ProblemDocument
 from chamfer_morph.server.app import create_app
 from chamfer_morph.server.http.openapi import text
+from chamfer_morph.server.routes import health
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import Api
 from tests.integration.api.contract import CONTRACT, OPERATIONS, ROOT
-from tests.patience import until
+from tests.patience import PATIENCE, until
 
 SAMPLES = {
     "job_id": "0" * 26, "sweep_id": "0" * 26, "mesh_id": "0" * 64, "worker_id": "none-slot9",
@@ -92,8 +93,9 @@ def test_every_error_has_one_shape(api: Api, method: str, path: str) -> None:
     assert answers[0].headers["Allow"] == ", ".join(sorted(map(str.upper, CONTRACT["paths"][path])))
 
 
-def test_health_and_figures(api: Api) -> None:
+def test_health_and_figures(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     """Alive, ready, and what Prometheus reads."""
+    monkeypatch.setattr(health, "FIGURES_SECONDS", 0)
     assert "morph_queue_age_seconds 0.0" in api.http.get("/metrics").text
     api.submit()
     until(lambda: "morph_queue_age_seconds 0.0" not in api.http.get("/metrics").text)
@@ -108,6 +110,17 @@ def test_health_and_figures(api: Api) -> None:
     assert float(values["morph_queue_age_seconds"]) > 0
     assert float(values["morph_disk_free_bytes"]) > 0
     assert 'morph_requests_total{operation="submitJob",status="202"} 1.0' in figures
+
+
+def test_figures_are_kept_for_a_while(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often they are asked for, the database tells them once."""
+    monkeypatch.setattr(health, "FIGURES_SECONDS", PATIENCE)
+    first = api.http.get("/metrics").text
+    api.submit()
+    later = api.http.get("/metrics").text
+    for figures in (first, later):
+        assert 'morph_jobs{state="queued"} 0.0' in figures
+    assert 'morph_requests_total{operation="submitJob",status="202"} 1.0' in later
 
 
 def test_a_fault_of_the_service_is_a_problem_too(api: Api) -> None:

@@ -16,6 +16,7 @@ import pytest
 from starlette.types import Message
 
 from chamfer_morph.server import event_hub
+from chamfer_morph.server.auth import ANONYMOUS
 from chamfer_morph.server.event_hub import BATCH, EventHub
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.events import EventStream
@@ -154,6 +155,64 @@ def test_a_key_has_its_share_of_the_streams(make_api: Callable[..., Api]) -> Non
         assert again.status_code == 200
 
 
+def _make_key(api: Api, name: str, headers: dict[str, str] | None = None) -> dict[str, str]:
+    body = {"name": name, "scopes": ["admin"]}
+    made = api.http.post("/v1/keys", json=body, headers=headers)
+    return {"Authorization": f"Bearer {made.json()['secret']}"}
+
+
+def test_share_links_take_from_the_share_of_whose_job_it_is(make_api: Callable[..., Api]) -> None:
+    """However many links there are, and whoever has made them."""
+    api = make_api(watchers_per_key=2)
+    root = _make_key(api, "root")
+    ann = _make_key(api, "ann", root)
+    job = api.http.post("/v1/jobs", json=MORPH, headers=ann).json()["id"]
+    path = f"/v1/jobs/{job}"
+    links = [
+        api.http.post(f"{path}/share-links", headers=who).json()["secret"]
+        for who in (ann, root, root)
+    ]
+    headers = [STREAM | {"Authorization": f"Bearer {link}"} for link in links]
+    with ExitStack() as stack:
+        for visitor in headers[:2]:
+            stream = api.http.stream("GET", f"{path}/events", headers=visitor)
+            assert stack.enter_context(stream).status_code == 200
+        refused = api.http.get(f"{path}/events", headers=headers[2])
+        assert refused.status_code == 429
+        with api.http.stream("GET", f"{path}/events", headers=STREAM | root) as other:
+            assert other.status_code == 200, "another key's share is its own"
+
+
+def test_a_stream_ends_when_its_key_is_revoked(either: Api) -> None:
+    """So it is with share links, and with streams from before the first key; others go on."""
+    job = either.submit()["id"]
+    path = f"/v1/jobs/{job}/events"
+    with ExitStack() as stack:
+
+        def follow(headers: dict[str, str] | None = None) -> Iterator[dict[str, Any]]:
+            stream = either.http.stream("GET", path, headers=STREAM | (headers or {}))
+            answer = stack.enter_context(stream)
+            assert answer.status_code == 200
+            events = _events(answer.iter_lines())
+            assert next(events)["type"] == "state"
+            return events
+
+        keyless = follow()
+        root = _make_key(either, "root")
+        assert next(keyless, None) is None
+        ann = _make_key(either, "ann", root)
+        link = either.http.post(f"/v1/jobs/{job}/share-links", headers=root).json()
+        visitor = {"Authorization": f"Bearer {link['secret']}"}
+        streams = [follow(headers) for headers in (root, ann, visitor)]
+        either.http.delete("/v1/keys/ann", headers=root)
+        _make_key(either, "ann", root)  # another secret under the same name
+        assert next(streams[1], None) is None
+        either.http.delete(f"/v1/jobs/{job}/share-links/{link['id']}", headers=root)
+        assert next(streams[2], None) is None
+        either.http.post(f"/v1/jobs/{job}/cancel", headers=root)
+        assert next(streams[0])["data"] == {"state": "cancelled"}
+
+
 def test_a_key_has_its_share_of_fifty_streams_asked_for_at_once(
     make_api: Callable[..., Api],
 ) -> None:
@@ -171,16 +230,23 @@ def test_a_key_has_its_share_of_fifty_streams_asked_for_at_once(
 
 def test_a_watcher_that_leaves_before_the_first_event_gives_its_place_back(api: Api) -> None:
     """The answer breaks off at its first line; the next stream finds the place free."""
-    job = api.submit()["id"]
+    job = api.context.queue.get(api.submit()["id"])
+    assert job is not None
 
     async def leave_and_come_again() -> None:
-        hub = EventHub(api.context.queue, api.context.storage, limit=1, limit_per_key=1)
-        stream = EventStream(hub.subscribe(job, "ann"), after=0)
+        hub = EventHub(
+            api.context.queue,
+            api.context.storage,
+            api.context.authenticator.still_valid,
+            limit=1,
+            limit_per_key=1,
+        )
+        stream = EventStream(hub.subscribe(job, ANONYMOUS), after=0)
         with pytest.raises(ProblemError):
-            hub.subscribe(job, "ann")
+            hub.subscribe(job, ANONYMOUS)
         with pytest.raises(BrokenPipeError):
             await stream({"type": "http"}, _nothing_comes, _break_off)
-        hub.subscribe(job, "ann")
+        hub.subscribe(job, ANONYMOUS)
         hub.close()
 
     anyio.run(leave_and_come_again)

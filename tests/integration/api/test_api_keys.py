@@ -214,7 +214,8 @@ def test_a_key_from_the_environment_or_a_file(tmp_path: Path) -> None:
         file.write_text(f"{secret}\n")
         started = check(**{name: str(file) if name.endswith("FILE") else secret})
         assert started.returncode == 0, started.stderr
-        assert store.callers() == {secret_digest(secret): Caller("admin", "admin")}
+        digest = secret_digest(secret)
+        assert store.callers() == {digest: Caller("admin", "admin", digest=digest)}
     for refused in ({"MORPH_ADMIN_KEY": "short"}, {"MORPH_ADMIN_KEY_FILE": f"{tmp_path}/none"}):
         assert check(**refused).returncode == 2
     assert store.callers().keys() == {secret_digest("b" * 32)}

@@ -43,6 +43,30 @@ def test_parallel_submits_stay_within_the_quota(
     assert api.http.post(f"/v1/jobs/{jobs[0]}/retry").status_code == 429
 
 
+def test_a_sweep_that_is_asked_for_again_stays_within_the_quota(
+    make_api: Callable[..., Api], database_url: str
+) -> None:
+    """Jobs that were deleted count as new ones, those that are there do not."""
+    api = make_api(queued_jobs_per_key=5, database_url=database_url)
+
+    def sweep(name: str) -> httpx.Response:
+        body = {"sources": [MORPH["source"]], "targets": [MORPH["target"]], "seeds": [1, 2, 3, 4]}
+        overrides = {"overrides": COARSE}
+        return api.http.post("/v1/sweeps", json=body | overrides, headers={"Idempotency-Key": name})
+
+    def delete_all() -> None:
+        for job in api.http.get("/v1/jobs").json()["items"]:
+            assert api.http.post(f"/v1/jobs/{job['id']}/cancel").status_code == 202
+            assert api.http.delete(f"/v1/jobs/{job['id']}").status_code == 204
+
+    for name in ("first", "second"):
+        assert sweep(name).status_code == 202
+        assert sweep(name).status_code == 200
+        delete_all()
+    assert [sweep(name).status_code for name in ("first", "second", "first")] == [200, 429, 200]
+    assert len(api.http.get("/v1/jobs").json()["items"]) == 4
+
+
 @pytest.mark.parametrize("database_url", ["postgres"], indirect=True)
 def test_a_mesh_that_another_process_stores_meanwhile_counts(
     make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch, cube: bytes, database_url: str

@@ -6,13 +6,17 @@ import gzip
 import hashlib
 import io
 import socket
+import threading
 import zipfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any
 
+import httpx
 import psutil
+import pytest
 
-from tests.integration.api.conftest import Api
+from tests.integration.api.conftest import COARSE, MORPH, Api
 from tests.patience import PATIENCE, until
 
 BIG = 200 * 2**20
@@ -43,6 +47,60 @@ def test_the_same_file_twice_is_one_mesh(api: Api, cube: bytes) -> None:
     assert [first.status_code, again.status_code, form.status_code] == [201, 200, 200]
     assert first.json() == again.json() == form.json()
     assert len(api.http.get("/v1/meshes").json()["items"]) == 1
+
+
+def _deleted_before(
+    store: Any, name: str, delete: Callable[[], httpx.Response], monkeypatch: pytest.MonkeyPatch
+) -> Future[httpx.Response]:
+    """Deletes a mesh right before a method is called, which waits for that for a second at most."""
+    method, deleted = getattr(store, name), Future[httpx.Response]()
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        thread = threading.Thread(target=lambda: deleted.set_result(delete()))
+        thread.start()
+        thread.join(1)
+        return method(*arguments, **options)
+
+    monkeypatch.setattr(store, name, call)
+    return deleted
+
+
+def test_a_mesh_that_a_job_begins_to_use_stays(
+    either: Api, cube: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever deletes it at this moment is refused."""
+    mesh = either.http.post("/v1/meshes?name=cube.obj", content=cube).json()["id"]
+    deleted = _deleted_before(
+        either.context.queue,
+        "enqueue",
+        lambda: either.http.delete(f"/v1/meshes/{mesh}"),
+        monkeypatch,
+    )
+    body = MORPH | {"source": {"mesh": mesh}, "overrides": COARSE}
+    assert either.http.post("/v1/jobs", json=body).status_code == 202
+    assert deleted.result(PATIENCE).status_code == 409
+    assert either.http.get(f"/v1/meshes/{mesh}/file").content == cube
+
+
+def test_a_mesh_that_another_key_uploads_stays(
+    either: Api, cube: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever deletes the same file at this moment deletes their own upload alone."""
+    headers: list[dict[str, str]] = []
+    for name in ("root", "ann", "bob"):
+        body = {"name": name, "scopes": ["admin" if name == "root" else "submit"]}
+        made = either.http.post("/v1/keys", json=body, headers=headers[0] if headers else None)
+        headers.append({"Authorization": f"Bearer {made.json()['secret']}"})
+    _, ann, bob = headers
+    upload = {"url": "/v1/meshes?name=cube.obj", "content": cube}
+    path = either.http.post(**upload, headers=ann).headers["Location"]
+    deleted = _deleted_before(
+        either.context.meshes, "add", lambda: either.http.delete(path, headers=ann), monkeypatch
+    )
+    assert either.http.post(**upload, headers=bob).status_code == 201
+    assert deleted.result(PATIENCE).status_code == 204
+    assert either.http.get(f"{path}/file", headers=bob).content == cube
+    assert either.http.get(path, headers=ann).status_code == 404
 
 
 def test_an_archive_is_a_mesh(api: Api, cube: bytes) -> None:

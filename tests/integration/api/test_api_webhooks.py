@@ -6,8 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
-from chamfer_morph.schemas import JobState
+from chamfer_morph.schemas import DeliveryAttempt, JobState
+from chamfer_morph.server.quotas import PENDING_TESTS
 from tests.integration.api.conftest import Api
 
 URL = "https://8.8.8.8/morph"
@@ -66,6 +68,45 @@ def test_what_is_refused(api: Api, change: dict[str, Any], words: str) -> None:
     assert answer.status_code == 422, problem
     assert words in problem["detail"] + problem["remedy"]
     assert api.http.get("/v1/webhooks").json() == []
+
+
+def test_so_many_tests_wait(either: Api) -> None:
+    """One more is refused until one of them is delivered or given up."""
+    path = either.http.post("/v1/webhooks", json={"url": URL}).headers["Location"]
+    answers = [either.http.post(f"{path}/test") for _ in range(PENDING_TESTS + 1)]
+    assert [answer.status_code for answer in answers] == [202] * PENDING_TESTS + [429]
+    (due,) = either.context.webhooks.due([], 10)
+    given_up = DeliveryAttempt(at=due.created_at, seconds=1, status=500, problem="busy")
+    either.context.webhooks.record(due, given_up, None)
+    assert [either.http.post(f"{path}/test").status_code for _ in range(2)] == [202, 429]
+
+
+def test_a_damaged_row_hides_no_other(either: Api) -> None:
+    """States that are none are left out, and so are attempts that cannot be read."""
+    paths = [
+        either.http.post("/v1/webhooks", json={"url": URL}).headers["Location"] for _ in range(2)
+    ]
+    sent = [either.http.post(f"{paths[0]}/test").json()["id"] for _ in range(3)]
+    broken = "{" if either.context.engine.dialect.name == "sqlite" else "{}"
+    with either.context.engine.begin() as connection:
+        damage = sa.text("update morph_webhook_messages set attempts = :attempts where id = :id")
+        for message, attempts in ((sent[0], broken), (sent[1], '[{"at": 1}]')):
+            connection.execute(damage, {"attempts": attempts, "id": message})
+        damage = sa.text("update morph_webhooks set states = 'done failed' where id = :id")
+        connection.execute(damage, {"id": paths[0].rpartition("/")[2]})
+    listed = either.http.get("/v1/webhooks").json()
+    assert [webhook["states"] for webhook in listed] == [
+        ["failed"], [state.value for state in JobState if state.finished],
+    ]  # fmt: skip
+    deliveries = either.http.get(f"{paths[0]}/deliveries").json()["items"]
+    assert {delivery["id"] for delivery in deliveries} == {*sent}
+    assert all(delivery["attempts"] == [] for delivery in deliveries)
+    webhooks = either.context.webhooks
+    (due,) = webhooks.due([], 10)
+    attempt = DeliveryAttempt(at=due.created_at, seconds=1, status=500, problem="busy")
+    webhooks.record(due, attempt, None)
+    deliveries = either.http.get(f"{paths[0]}/deliveries").json()["items"]
+    assert sorted(len(delivery["attempts"]) for delivery in deliveries) == [0, 0, 1]
 
 
 def test_a_host_that_is_not_found_yet_is_taken(api: Api) -> None:
