@@ -65,9 +65,16 @@ class Cluster:
 
     def start(self, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
         """Start a process of the worker room."""
+        return self._start(["-m", "chamfer_morph.worker", *arguments], environment)
+
+    def program(self, code: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start a program with the settings of the cluster."""
+        return self._start(["-c", code, *arguments], {})
+
+    def _start(self, command: list[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
         with (self.settings.data_dir / "processes.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "chamfer_morph.worker", *arguments],
+                [sys.executable, *command],
                 env=self.environment | environment,
                 stderr=log,
             )
