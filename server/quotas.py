@@ -83,8 +83,15 @@ class Quotas:
         self._bytes_let_in: Counter[str] = Counter()
 
     @contextmanager
-    def letting_in_jobs(self, owner: str, adding: int = 1) -> Iterator[Callable[[], None]]:
-        """Refuse more unfinished jobs than a key may have, and jobs of a key whose disk is full.
+    def letting_in_jobs(
+        self, owner: str, adding: int = 1, *, needed_bytes: int = 0
+    ) -> Iterator[Callable[[], None]]:
+        """Refuse more unfinished jobs than a key may have, and jobs that its disk has no room for.
+
+        Args:
+            owner: Name of the key.
+            adding: How many jobs it wants to add.
+            needed_bytes: Disk that these will fill [bytes].
 
         Yields:
             To be called once each of the jobs is in the queue.
@@ -92,7 +99,7 @@ class Quotas:
         Raises:
             ProblemError: 429 or 413.
         """
-        self.check_disk(owner)
+        self.check_disk(owner, needed_bytes)
         limit = self._settings.queued_jobs_per_key
         with self._reservations.reserving(
             "jobs", owner, adding, limit, lambda: self._queue.unfinished(owner)
@@ -184,8 +191,12 @@ class Quotas:
             self._bytes_let_in[owner] += count
             return self._bytes_let_in[owner]
 
-    def check_disk(self, owner: str) -> None:
-        """Refuse a key whose meshes and jobs fill the disk that it may fill.
+    def check_disk(self, owner: str, needed_bytes: int = 0) -> None:
+        """Refuse a key whose meshes and jobs fill the disk that it may fill, or would with more.
+
+        Args:
+            owner: Name of the key.
+            needed_bytes: What it is about to add [bytes].
 
         Raises:
             ProblemError: 413.
@@ -193,6 +204,14 @@ class Quotas:
         used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
             raise _disk_is_full(used, limit)
+        if used + needed_bytes > limit:
+            raise _refusal(
+                413,
+                f"This would fill about {needed_bytes / 1e9:,.1f} GB of disk, and this key may "
+                f"fill {(limit - used) / 1e9:,.1f} GB more.",
+                "Ask for fewer `frames` or states (`states_every`), or for coarser particles; or "
+                "delete jobs or meshes that are not needed any more.",
+            )
 
     def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].

@@ -15,12 +15,17 @@ from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import LESS_MEMORY, JobSpec
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import folder_bytes
 from chamfer_morph.worker.telemetry import EngineSpans, is_on
 from morph_engine.machine_memory import total_memory
+from morph_engine.results.spool import spool_path
 
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5
 LOG_TAIL_BYTES = 2000
+
+DISK_SECONDS = 10.0
+"""How often it is seen how much disk a job fills."""
 
 
 class AttemptFailed(Exception):
@@ -63,7 +68,8 @@ async def run_attempt(
         What the job left behind.
 
     Raises:
-        AttemptFailed: The engine refused the job, died, hung, or took more memory than jobs may.
+        AttemptFailed: The engine refused the job, died, hung, or took more memory or disk than jobs
+            may.
     """
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
     largest = settings.job_memory_bytes or total_memory()
@@ -71,6 +77,7 @@ async def run_attempt(
     spans = EngineSpans(spec.frame_count) if is_on() else None
     engine.assign(job_dir, attempt, largest, spans)
     ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
+    next_look = time.monotonic()
     try:
         while not ended.done():
             await asyncio.wait({ended}, timeout=HEARTBEAT_SECONDS)
@@ -79,6 +86,11 @@ async def run_attempt(
             if engine.peak_memory > largest:
                 engine.kill()
                 raise AttemptFailed(_too_large(engine, largest), engine.frames)
+            if time.monotonic() >= next_look:
+                next_look = time.monotonic() + DISK_SECONDS
+                filled = await asyncio.to_thread(_unfinished_bytes, job_dir)
+                if filled > settings.disk_bytes_per_key:
+                    raise AttemptFailed(_too_much_disk(filled, settings), engine.frames)
             if time.monotonic() - engine.last_message_at > settings.stall_seconds:
                 raise AttemptFailed(_hang(settings), engine.frames)
     except BaseException:
@@ -123,6 +135,21 @@ def _too_large(engine: Engine, largest: int) -> Problem:
         cause=f"The engine took {engine.peak_memory / 1e6:,.0f} MB of memory, where jobs may have "
         f"{largest / 1e6:,.0f} MB, and was stopped.",
         remedy=LESS_MEMORY,
+        kind="resources",
+    )
+
+
+def _unfinished_bytes(job_dir: Path) -> int:
+    """Disk that frames and states of a job fill; the result takes the place of frames [bytes]."""
+    return folder_bytes(spool_path(job_dir / "result.vtkhdf")) + folder_bytes(job_dir / "states")
+
+
+def _too_much_disk(filled: int, settings: Settings) -> Problem:
+    return Problem(
+        cause=f"The job's frames and states fill {filled / 1e9:,.1f} GB of disk, and all that its "
+        f"key keeps may fill {settings.disk_bytes_per_key / 1e9:,.1f} GB.",
+        remedy="Ask for fewer `frames`, states (`states_every`) or particles, or raise "
+        "MORPH_DISK_BYTES_PER_KEY and resume the job.",
         kind="resources",
     )
 

@@ -288,7 +288,8 @@ def _submit(
     submission = prepare(body, caller, context)
     job_id = idempotent_id("job", caller, key) if key else new_id()
     known = bool(key) and context.queue.get(job_id) is not None
-    with nullcontext() if known else context.quotas.letting_in_jobs(caller.name):
+    letting_in = context.quotas.letting_in_jobs(caller.name, needed_bytes=submission.disk_bytes)
+    with nullcontext() if known else letting_in:
         record, new = submit(submission, job_id=job_id, caller=caller, context=context)
     return to_job(record, context), new
 

@@ -128,7 +128,9 @@ def _submit(
         for source, target, method, seed in product(*axes)
     ]
     adding = 0 if before else len(submissions)
-    with context.quotas.letting_in_jobs(caller.name, adding) as queued:
+    needed = 0 if before else sum(submission.disk_bytes for submission in submissions)
+    letting_in = context.quotas.letting_in_jobs(caller.name, adding, needed_bytes=needed)
+    with letting_in as queued:
         stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
         for index, submission in enumerate(submissions):
             job_id = idempotent_id(f"job {index}", caller, sweep_id)

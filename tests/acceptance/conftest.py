@@ -94,6 +94,7 @@ class Cluster:
         priority: int = 100,
         precision: str = "float32",
         source: Shape = SPHERE,
+        states_every: int = 0,
     ) -> str:
         """Queue a small job whose frames take a while."""
         settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "frames": frames}
@@ -104,6 +105,7 @@ class Cluster:
             config=config,
             device="cpu",
             timeout_seconds=timeout,
+            states_every=states_every,
         )
         job_id = new_id()
         assert self.queue.enqueue(spec, job_id=job_id, owner=owner, priority=priority)

@@ -181,6 +181,24 @@ def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     cluster.wait_for_state(job, JobState.SUCCEEDED)
 
 
+@POSTGRES_BY_FAULT_TESTS
+def test_a_job_that_fills_too_much_disk_is_stopped(cluster):
+    """It fails once, with the cause, and keeps its frames; with more disk it goes on."""
+    tight = cluster.worker(MORPH_DISK_BYTES_PER_KEY=str(1_000_000))
+    job = cluster.submit(frames=10_000, states_every=1)
+    problem = cluster.wait_for_state(job, JobState.FAILED).problem
+    assert problem.kind == "resources"
+    assert "0.0 GB" in problem.cause and "MORPH_DISK_BYTES_PER_KEY" in problem.remedy
+    assert tight.poll() is None
+    kept = len(cluster.frames(job))
+    assert 0 < kept < 10_000
+    tight.terminate()
+    tight.wait(10)
+    cluster.worker()
+    cluster.queue.resume(job)
+    cluster.wait_for_frame(job, kept + 1)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="nothing else counts what a process takes")
 def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     """Not even between two looks of its worker: it fails with the cause, and has not had it."""

@@ -234,3 +234,38 @@ def test_particles_follow_the_grid(make_api: Callable[..., Api]) -> None:
     ):
         answer = api.http.post("/v1/jobs", json=MORPH | {"method": "joint", "overrides": settings})
         assert answer.status_code == 422 and cause in answer.json()["detail"], answer.text
+
+
+def test_a_job_that_the_disk_has_no_room_for_is_refused(make_api: Callable[..., Api]) -> None:
+    """At once, with what it needs: its frames count, and the states that it keeps."""
+    api = make_api(disk_bytes_per_key=100_000_000)
+    sweep = {"sources": [MORPH["source"]], "targets": [MORPH["target"]], "overrides": COARSE}
+    for path, body in (
+        ("/v1/jobs", MORPH | {"overrides": COARSE, "frames": 10_000}),
+        ("/v1/jobs", MORPH | {"overrides": COARSE, "frames": 300, "states_every": 1}),
+        ("/v1/sweeps", sweep | {"frames": 300, "seeds": [*range(20)]}),
+    ):
+        answer = api.http.post(path, json=body)
+        assert answer.status_code == 413, answer.text
+        assert "0.1 GB more" in answer.json()["detail"]
+        assert "states_every" in answer.json()["remedy"]
+    assert api.http.get("/v1/jobs").json()["items"] == []
+    api.submit(overrides=COARSE, frames=300)
+    api.submit(overrides=COARSE, frames=300, states_every=100)
+
+
+def test_a_fork_that_nobody_has_room_for_is_refused(
+    make_api: Callable[..., Api], run: RunRecord, tmp_path: Path
+) -> None:
+    """Disk is asked for as for any job."""
+    job = make_api(data_dir=tmp_path / "data").finished(run)
+    for settings, status, cause in (
+        ({"disk_bytes_per_key": 100_000_000}, 413, "0.1 GB more"),
+    ):
+        api = make_api(data_dir=tmp_path / "data", **settings)
+        body = {"frame": 1, "overrides": {"frames": 10_000}, "states_every": 1}
+        answer = api.http.post(f"/v1/jobs/{job}/fork", json=body)
+        assert answer.status_code == status and cause in answer.json()["detail"], answer.text
+        assert len(api.http.get("/v1/jobs").json()["items"]) == 1
+    fork = api.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "overrides": {"frames": 4}})
+    assert fork.status_code == 202, fork.text
