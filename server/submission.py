@@ -30,7 +30,6 @@ from morph_engine.errors import ConfigError, MeshError, ResourceError
 from morph_engine.geometry.placement import Placement, place
 from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
 from morph_engine.geometry.solid import Solid
-from morph_engine.machine_memory import total_memory
 from morph_engine.results.run_record import config_at
 
 ROUNDNESS = 1.15
@@ -170,7 +169,7 @@ def check_memory(needed_mb: float, settings: Settings) -> None:
     Raises:
         ResourceError: It needs more than jobs may have.
     """
-    largest = (settings.job_memory_bytes or total_memory()) / 1e6
+    largest = settings.memory_per_job / 1e6
     if needed_mb > largest:
         raise ResourceError(
             f"The job needs about {needed_mb:,.0f} MB of memory, and jobs here may have "

@@ -17,7 +17,6 @@ from chamfer_morph.worker.job import LESS_MEMORY, JobSpec
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import folder_bytes
 from chamfer_morph.worker.telemetry import EngineSpans, is_on
-from morph_engine.machine_memory import total_memory
 from morph_engine.results.spool import spool_path
 
 HEARTBEAT_SECONDS = 1.0
@@ -72,7 +71,7 @@ async def run_attempt(
             may.
     """
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
-    largest = settings.job_memory_bytes or total_memory()
+    largest = settings.memory_per_job
     engine = spare.take(spec, job_dir)
     spans = EngineSpans(spec.frame_count) if is_on() else None
     engine.assign(job_dir, attempt, largest, spans)

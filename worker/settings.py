@@ -12,6 +12,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, DotEnvSettingsSource, SettingsConfigDict
 
 from morph_engine.errors import ConfigError
+from morph_engine.machine_memory import total_memory
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -91,7 +92,7 @@ class Settings(BaseSettings):
         0,
         ge=0,
         description="Jobs that would need more memory are refused, and stopped if they take more; "
-        "0: than this machine has [bytes].",
+        "0: than this machine has, shared out evenly to its workers [bytes].",
     )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
@@ -194,6 +195,11 @@ class Settings(BaseSettings):
     def allowed_webhook_networks(self) -> tuple[Network, ...]:
         """Networks that webhooks may reach although they are not public."""
         return _networks(self.webhook_networks)
+
+    @property
+    def memory_per_job(self) -> int:
+        """Memory that a job may take: as set, or an even share of what there is [bytes]."""
+        return self.job_memory_bytes or total_memory() // max(1, self.workers)
 
     @property
     def queue_poll_seconds(self) -> float:

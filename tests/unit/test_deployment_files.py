@@ -17,7 +17,7 @@ import yaml
 
 from chamfer_morph.server.__main__ import _parser as server_parser
 from chamfer_morph.worker.__main__ import _parser as worker_parser
-from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.settings import GIB, Settings
 from tests.web_server import running
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -115,6 +115,14 @@ def test_pods_are_selected_and_looked_after(role: str) -> None:
     assert "httpGet" in probe or probe["timeoutSeconds"] >= 10
     assert pod(workload)["automountServiceAccountToken"] is False
     assert "limits" in container(workload)["resources"]
+
+
+def test_a_job_fits_its_pod() -> None:
+    """With the worker itself and the process that is ready for the next job."""
+    (config,) = (each["data"] for each in MANIFESTS if each["kind"] == "ConfigMap")
+    limit = container(WORKLOADS["worker"])["resources"]["limits"]["memory"]
+    assert limit.endswith("Gi")
+    assert int(config["MORPH_JOB_MEMORY_BYTES"]) <= int(limit[:-2]) * GIB - GIB
 
 
 def test_only_the_api_is_reached() -> None:

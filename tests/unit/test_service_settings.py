@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
 from tests.patience import PATIENCE
 
@@ -61,3 +62,11 @@ def test_the_data_directory_is_for_its_owner_alone(tmp_path: Path) -> None:
     shared.mkdir()
     shared.chmod(0o750)
     assert Storage(shared).root.stat().st_mode & 0o777 == 0o750
+
+
+def test_workers_share_the_memory_of_their_machine() -> None:
+    """Unless somebody has said what a job may have."""
+    alone = Settings(_env_file=None).memory_per_job
+    assert Settings(_env_file=None, workers=4).memory_per_job == alone // 4
+    assert Settings(_env_file=None, workers=0).memory_per_job == alone
+    assert Settings(_env_file=None, workers=4, job_memory_bytes=7).memory_per_job == 7

@@ -257,9 +257,10 @@ def test_a_job_that_the_disk_has_no_room_for_is_refused(make_api: Callable[..., 
 def test_a_fork_that_nobody_has_room_for_is_refused(
     make_api: Callable[..., Api], run: RunRecord, tmp_path: Path
 ) -> None:
-    """Disk is asked for as for any job."""
+    """Memory and disk are asked for as for any job."""
     job = make_api(data_dir=tmp_path / "data").finished(run)
     for settings, status, cause in (
+        ({"job_memory_bytes": 1_000_000}, 422, "jobs here may have 1 MB"),
         ({"disk_bytes_per_key": 100_000_000}, 413, "0.1 GB more"),
     ):
         api = make_api(data_dir=tmp_path / "data", **settings)
