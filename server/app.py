@@ -93,6 +93,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(
         BodyLimitMiddleware,
         timeout_seconds=settings.upload_timeout_seconds,
+        deadline_seconds=settings.upload_deadline_seconds,
         max_bytes=settings.body_bytes,
         exceptions={
             "/v1/meshes": settings.upload_bytes + settings.body_bytes,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from chamfer_morph.server.database.meshes import MeshStore
-from chamfer_morph.server.database.reservations import Reservations
+from chamfer_morph.server.database.reservations import Reservation, Reservations
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
@@ -29,13 +29,24 @@ class Incoming:
         quotas: Where it counts.
         owner: Whose it is.
         room: Disk that the owner may still fill, with all that is on its way in [bytes].
+        reservation: By which it counts as a mesh.
     """
 
-    def __init__(self, quotas: Quotas, owner: str, room: int) -> None:
+    def __init__(self, quotas: Quotas, owner: str, room: int, reservation: Reservation) -> None:
         self._quotas = quotas
         self._owner = owner
         self._room = room
+        self._reservation = reservation
         self._bytes = 0
+
+    def keep_place(self) -> None:
+        """See that it still counts as a mesh, however long it took to come. Blocks.
+
+        Raises:
+            ProblemError: 429, it has lost its place, and others have taken it.
+        """
+        self._reservation.renew()
+        self._quotas.check_meshes(self._reservation)
 
     def add(self, count: int) -> None:
         """Count what has come.
@@ -160,14 +171,23 @@ class Quotas:
         with self._reservations.reserving(
             "meshes", owner, adding, limit, lambda: self._meshes.totals(owner)[0]
         ) as reserved:
-            if reserved.refused:
-                cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
-                raise _refusal(429, cause, "Delete those that are not needed any more.")
-            incoming = Incoming(self, owner, room)
+            self.check_meshes(reserved)
+            incoming = Incoming(self, owner, room, reserved)
             try:
                 yield incoming
             finally:
                 incoming.close()
+
+    def check_meshes(self, reserved: Reservation) -> None:
+        """Refuse meshes that there is no room for.
+
+        Raises:
+            ProblemError: 429.
+        """
+        if reserved.refused:
+            limit = self._settings.meshes_per_key
+            cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
+            raise _refusal(429, cause, "Delete those that are not needed any more.")
 
     @contextmanager
     def storing_mesh(self, owner: str, size_bytes: int) -> Iterator[None]:

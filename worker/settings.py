@@ -112,6 +112,9 @@ class Settings(BaseSettings):
     upload_timeout_seconds: float = Field(
         60, gt=0, description="An upload that sends nothing for so long is dropped [s]."
     )
+    upload_deadline_seconds: float = Field(
+        3600, gt=0, description="An upload that takes longer is dropped [s]."
+    )
     inspect_memory_bytes: int = Field(2 * GIB, gt=0, description="Memory to parse a mesh [bytes].")
     inspect_cpu_seconds: int = Field(60, gt=0, description="CPU time to parse a mesh [s].")
     export_memory_bytes: int = Field(

@@ -326,8 +326,9 @@ async def _receive_form(
     shapes = {role: {"mesh": upload.sha256} for role, upload in uploads.items()}
     job = validate(body | shapes, JobRequest)
     if uploads:
-        await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name, len(uploads)))
-        await store_uploads(list(uploads.values()), request, caller, context)
+        letting_in = context.quotas.letting_in_meshes(caller.name, len(uploads))
+        meshes = await enter_in_thread(stack, letting_in)
+        await store_uploads(list(uploads.values()), meshes, request, caller, context)
     return job
 
 

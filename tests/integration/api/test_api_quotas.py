@@ -12,13 +12,14 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from chamfer_morph.server.database import reservations
 from chamfer_morph.server.database.tables import ReservationRow
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.janitor import delete_expired
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import COARSE, MORPH, Api, ApiProcess
-from tests.patience import PATIENCE
+from tests.patience import PATIENCE, until
 
 
 def test_parallel_submits_stay_within_the_quota(
@@ -258,15 +259,46 @@ def test_a_fork_that_nobody_has_room_for_is_refused(
     make_api: Callable[..., Api], run: RunRecord, tmp_path: Path
 ) -> None:
     """Memory and disk are asked for as for any job."""
-    job = make_api(data_dir=tmp_path / "data").finished(run)
+    first = make_api(data_dir=tmp_path / "data")
+    job = first.finished(run)
+    used = first.context.storage.job_bytes(job)
     for settings, status, cause in (
         ({"job_memory_bytes": 1_000_000}, 422, "jobs here may have 1 MB"),
-        ({"disk_bytes_per_key": 100_000_000}, 413, "0.1 GB more"),
+        ({"disk_bytes_per_key": used + 1000}, 413, "0.0 GB more"),
     ):
         api = make_api(data_dir=tmp_path / "data", **settings)
-        body = {"frame": 1, "overrides": {"frames": 10_000}, "states_every": 1}
-        answer = api.http.post(f"/v1/jobs/{job}/fork", json=body)
+        answer = api.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "states_every": 1})
         assert answer.status_code == status and cause in answer.json()["detail"], answer.text
         assert len(api.http.get("/v1/jobs").json()["items"]) == 1
-    fork = api.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "overrides": {"frames": 4}})
+    fork = first.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "states_every": 1})
     assert fork.status_code == 202, fork.text
+
+
+def test_an_upload_that_has_lost_its_place_is_counted_again(
+    make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch, cube: bytes
+) -> None:
+    """It comes slowly, its place expires, and another one takes the last: it is refused."""
+    api = make_api(meshes_per_key=1)
+    go_on = threading.Event()
+
+    def content() -> Iterator[bytes]:
+        yield cube
+        go_on.wait(PATIENCE)
+        yield b"#\n"
+
+    def upload(content: Iterator[bytes] | bytes) -> int:
+        query = {"name": "cube.obj"}
+        with httpx.Client(base_url=api.http.base_url, timeout=PATIENCE) as http:
+            return http.post("/v1/meshes", params=query, content=content).status_code
+
+    with ThreadPoolExecutor(1) as pool:
+        monkeypatch.setattr(reservations, "LIFETIME_SECONDS", -1)
+        slow = pool.submit(upload, content())
+        until(api.uploads)
+        monkeypatch.undo()
+        other = upload(cube)
+        go_on.set()
+        assert (other, slow.result()) == (201, 429)
+    (mesh,) = api.http.get("/v1/meshes").json()["items"]
+    assert api.http.delete(f"/v1/meshes/{mesh['id']}").is_success
+    assert upload(cube) == 201
