@@ -12,6 +12,7 @@ import tempfile
 from typing import TYPE_CHECKING
 
 from chamfer_morph.worker import service_log, telemetry
+from chamfer_morph.worker.private_process import keep_private
 from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.errors import MorphError
 
@@ -24,6 +25,7 @@ BAD_INPUT = 2
 def main() -> None:
     """Run one process until it is told to end."""
     arguments = _parser().parse_args()
+    keep_private()
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
         settings = load_settings()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from chamfer_morph.worker import liveness, service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.private_process import keep_private
 from chamfer_morph.worker.settings import Settings, load_settings
 from chamfer_morph.worker.slots import WorkerSlots, executor_id, janitor_id
 from morph_engine.errors import MorphError
@@ -27,6 +28,7 @@ LOCK_TIMEOUT_SECONDS = 10.0
 def main() -> None:
     """Run one process until it is told to end."""
     arguments = _parser().parse_args()
+    keep_private()
     try:
         settings = load_settings()
         service_log.set_up(settings)
