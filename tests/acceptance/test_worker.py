@@ -17,6 +17,7 @@ from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.liveness import LIMIT_SECONDS
 from chamfer_morph.worker.slots import executor_id, janitor_id
+from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
 from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS, SPHERE
 
@@ -209,7 +210,7 @@ def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     config = configure("fast", settings | {"frames": 1})
     spec = JobSpec(source=SPHERE, target=star, config=config, device="cpu", timeout_seconds=600)
     (job_dir / "spec.json").write_text(spec.model_dump_json(), encoding="utf-8")
-    engine = Engine(1, tmp_path / "kept")
+    engine = Engine(1, Storage(tmp_path))
     engine.assign(job_dir, 1, 100_000_000)
     while not engine.ended:
         engine.beat()

@@ -158,6 +158,16 @@ def test_no_secret_is_in_a_file() -> None:
     assert "Secret" not in kinds
 
 
+def test_the_key_is_told_to_the_api_alone() -> None:
+    """Processes that run engines do not know it."""
+    for role, workload in WORKLOADS.items():
+        sources = container(workload)["envFrom"]
+        secrets = {each["secretRef"]["name"] for each in sources if "secretRef" in each}
+        assert secrets == {"morph", *(["morph-api"] if role == "api" else [])}
+    for name, service in OWN.items():
+        assert ("MORPH_ADMIN_KEY" in service["environment"]) is (name == "api")
+
+
 def test_the_services_of_compose_fit_together() -> None:
     """Each has a check of its own, and volumes and services that are named are there."""
     assert {*OWN} == {"api", "janitor", "worker"}
