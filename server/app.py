@@ -70,7 +70,10 @@ def create_app(settings: Settings) -> FastAPI:
         context = await anyio.to_thread.run_sync(ServerContext, settings)
         app.state.context = context
         try:
-            yield
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(context.keep_uploads_tidy)
+                yield
+                tasks.cancel_scope.cancel()
         finally:
             context.event_hub.close()
             context.close_computations()
