@@ -82,7 +82,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
 
         migrate(settings)
         if settings.object_store:
-            open_storage(settings, "api").probe()
+            open_storage(settings, "api").probe_store()
     else:
         from chamfer_morph.server.api_server import ApiServer
         from chamfer_morph.server.http.connection_limits import allow_many_files

@@ -22,6 +22,7 @@ from chamfer_morph.server.event_hub import EventHub
 from chamfer_morph.server.failure_counts import FailureCounts
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
+from chamfer_morph.server.store_watch import StoreWatch
 from chamfer_morph.server.turns import Turns
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
@@ -64,6 +65,7 @@ class ServerContext:
         self.settings: Settings = settings
         self.storage: Storage = open_storage(settings, "api")
         self.store_is_away_until: float = float("-inf")
+        self.store_watch: StoreWatch = StoreWatch(self.storage.probe_store)
         self.queue: JobQueue = JobQueue(settings)
         self.queue.migrate()
         self.engine: sa.Engine = database(settings)
