@@ -258,4 +258,14 @@ def check_morph() -> Finding:
         if outcome.returncode or not out.is_file():
             last = outcome.stderr.strip() or describe_exit(outcome.returncode)
             return Finding("morph", "fault", last, "Report it with the lines above.")
-    return Finding("morph", "ok", f"two small frames in {seconds:.1f} s")
+    return Finding("morph", "ok", f"two small frames in {seconds:.1f} s on {_device()}")
+
+
+def _device() -> str:
+    """Where runs compute on this machine unless they are told otherwise."""
+    from morph_engine.backend import available_devices
+    from morph_engine.results.provenance import cpu_name, gpu_name
+
+    device = next(name for name in available_devices() if name != "vulkan")
+    name = {"cpu": cpu_name, "cuda": gpu_name}.get(device, str)()
+    return f"{device} ({name})" if name else device

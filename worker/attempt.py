@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import sys
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -22,6 +23,8 @@ from morph_engine.results.spool import spool_path
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5
 LOG_TAIL_BYTES = 2000
+PROGRAM = Path(__file__).resolve().parents[1]
+"""Where this program lies."""
 
 DISK_SECONDS = 10.0
 """How often it is seen how much disk a job fills."""
@@ -98,7 +101,7 @@ async def run_attempt(
     if engine.outcome is not None:
         return engine.outcome
     problem = engine.problem or _crash(ended.result(), engine, job_dir / "log.txt")
-    raise AttemptFailed(_without_folder(problem, job_dir.parent.parent), engine.frames)
+    raise AttemptFailed(_without_folders(problem, job_dir.parent.parent), engine.frames)
 
 
 async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
@@ -115,10 +118,13 @@ async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
         engine.kill()
 
 
-def _without_folder(problem: Problem, folder: Path) -> Problem:
-    """The same for users, who need not know where the data directory lies."""
-    texts = {name: getattr(problem, name).replace(f"{folder}/", "") for name in ("cause", "remedy")}
-    return problem.model_copy(update=texts)
+def _without_folders(problem: Problem, data_dir: Path) -> Problem:
+    """The same for users, who need not know where data directory and programs lie."""
+    folders = {data_dir, Path(sys.prefix), Path(sys.base_prefix), PROGRAM, Path.home()}
+    told = {"cause": problem.cause, "remedy": problem.remedy}
+    for folder in sorted(map(str, folders), key=len, reverse=True):  # the inner ones first
+        told = {name: text.replace(f"{folder}/", "") for name, text in told.items()}
+    return problem.model_copy(update=told)
 
 
 def _hang(settings: Settings) -> Problem:

@@ -33,6 +33,8 @@ def test_machine_that_has_everything(tmp_path: Path) -> None:
     assert [*findings] == subjects
     assert {finding["verdict"] for finding in findings.values()} <= {"ok", "warning"}
     assert "taichi 1." in findings["software"]["text"]
+    assert " on " in findings["morph"]["text"]
+    assert any(name in findings["morph"]["text"] for name in backend.available_devices())
     assert not (tmp_path / "data").exists()
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -163,6 +164,23 @@ def test_failures_are_counted_by_kind(cluster):
         lambda: cluster.job(gone).finished_at not in (None, finished), "the job to fail once more"
     )
     assert later.since_last_call() == counts.since_last_call() == {"input": 1}
+
+
+def test_the_last_words_of_an_engine_name_no_folder(cluster):
+    """What it wrote last is quoted, without telling where programs and files lie."""
+    worker = cluster.worker(MORPH_ATTEMPTS="1")
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    engine, log = cluster.engine(worker), cluster.storage.job_dir(job) / "log.txt"
+    folders = sys.prefix, sys.base_prefix, str(Path.home()), str(cluster.settings.data_dir)
+    engine.suspend()
+    with log.open("a") as file:
+        file.write(" ".join(f"{folder}/inner/file.so" for folder in folders) + ": broken\n")
+    engine.send_signal(signal.SIGABRT)
+    engine.resume()
+    problem = cluster.wait_for_state(job, JobState.FAILED).problem
+    assert problem.kind == "crash"
+    assert problem.cause.endswith("Its last words: " + " ".join(4 * ["inner/file.so"]) + ": broken")
 
 
 @POSTGRES_BY_FAULT_TESTS

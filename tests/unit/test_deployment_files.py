@@ -178,6 +178,15 @@ def test_the_services_of_compose_fit_together() -> None:
         assert {volume.partition(":")[0] for volume in service["volumes"]} <= {*COMPOSE["volumes"]}
 
 
+def test_images_of_others_do_not_move() -> None:
+    """Whoever starts it names them by their digests; without, it is refused."""
+    assert re.findall(r"^ARG BASE(.*)$", DOCKERFILE, re.M) == [""]
+    assert {*re.findall(r"^FROM (\S+)", DOCKERFILE, re.M)} == {"$BASE"}
+    for service in OWN.values():
+        assert service["build"]["args"]["BASE"].startswith("${BASE:?")
+    assert COMPOSE["services"]["database"]["image"].startswith("${POSTGRES_IMAGE:?")
+
+
 def test_the_image_asks_the_port_that_the_service_has() -> None:
     """Its check fails where nobody answers, and passes where somebody does at MORPH_PORT."""
     (found,) = re.findall(r"^HEALTHCHECK .*CMD (\[.*\])$", DOCKERFILE, re.M)
