@@ -29,7 +29,7 @@ def main() -> None:
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
         settings = load_settings()
-        service_log.set_up(settings)
+        service_log.set_up(settings.log_format)
         sys.exit(_run(arguments, settings))
     except MorphError as error:
         sys.stderr.write(f"{error.cause}\n{error.remedy}\n")

@@ -34,7 +34,7 @@ def main() -> None:
     keep_private()
     try:
         settings = load_settings()
-        service_log.set_up(settings)
+        service_log.set_up(settings.log_format)
         _run(arguments, settings)
     except MorphError as error:
         sys.exit(f"{error.cause}\n{error.remedy}")

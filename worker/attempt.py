@@ -15,6 +15,7 @@ from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import LESS_MEMORY, JobSpec
+from chamfer_morph.worker.service_log import last_words
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import folder_bytes
 from chamfer_morph.worker.telemetry import EngineSpans, is_on
@@ -187,4 +188,4 @@ def _last_line(log: Path) -> str:
     with log.open("rb") as file:
         file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES, 0))
         lines = file.read().decode(errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+    return last_words(next((line.strip() for line in reversed(lines) if line.strip()), ""))

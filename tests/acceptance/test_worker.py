@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 from chamfer_morph.schemas import BuiltInShape, JobState, MeshShape
 from chamfer_morph.server.failure_counts import FailureCounts
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.alarm import SETTLING_PAUSE_SECONDS, SETTLING_SECONDS
 from chamfer_morph.worker.engines.engine import Engine
@@ -166,16 +168,19 @@ def test_failures_are_counted_by_kind(cluster):
     assert later.since_last_call() == counts.since_last_call() == {"input": 1}
 
 
-def test_the_last_words_of_an_engine_name_no_folder(cluster):
+@pytest.mark.parametrize("log_format", ["text", "json"])
+def test_the_last_words_of_an_engine_name_no_folder(new_cluster, log_format):
     """What it wrote last is quoted, without telling where programs and files lie."""
+    cluster = new_cluster("")
     worker = cluster.worker(MORPH_ATTEMPTS="1")
     job = cluster.submit()
     cluster.wait_for_frame(job, 1)
     engine, log = cluster.engine(worker), cluster.storage.job_dir(job) / "log.txt"
     folders = sys.prefix, sys.base_prefix, str(Path.home()), str(cluster.settings.data_dir)
     engine.suspend()
+    words = " ".join(f"{folder}/inner/file.so" for folder in folders) + ": broken"
     with log.open("a") as file:
-        file.write(" ".join(f"{folder}/inner/file.so" for folder in folders) + ": broken\n")
+        file.write((json.dumps({"message": words}) if log_format == "json" else words) + "\n")
     engine.send_signal(signal.SIGABRT)
     engine.resume()
     problem = cluster.wait_for_state(job, JobState.FAILED).problem
@@ -237,6 +242,25 @@ def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     assert engine.problem is not None and engine.problem.kind == "resources"
     assert "jobs may have 100 MB" in engine.problem.cause
     assert engine.peak_memory < 3e9, "which takes 5.8 GB without a limit"
+
+
+def test_an_engine_logs_as_its_service_does(tmp_path):
+    """Each line is JSON, with the ids of job and request, an exception that ends it included."""
+    storage = Storage(tmp_path)
+    job_dir = storage.job_dir("01JOB")
+    job_dir.mkdir()
+    (job_dir / "spec.json").write_text("{}")
+    token = service_log.request_id.set("click-1")
+    engine = Engine(1, storage, log_format="json", job_dir=job_dir)
+    engine.assign(job_dir, 1, 1 << 30)
+    service_log.request_id.reset(token)
+    while not engine.ended:
+        engine.beat()
+        time.sleep(0.1)
+    assert engine.wait() == 1
+    lines = [json.loads(line) for line in (job_dir / "log.txt").read_text().splitlines()]
+    assert lines and "ValidationError" in lines[-1]["error"]
+    assert {(line["job"], line["request"]) for line in lines} == {("01JOB", "click-1")}
 
 
 def test_a_paused_owner_waits(cluster):

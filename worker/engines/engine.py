@@ -14,6 +14,7 @@ from typing import IO, Any
 import psutil
 
 from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.sandbox.landlock import list_of_fonts, user_cache
@@ -28,6 +29,7 @@ class Engine:
     Args:
         threads: CPU threads that it computes with.
         storage: The files of the service.
+        log_format: How it logs, `text` or `json`.
         job_dir: The directory of its job, where that is known; it sees no other then.
         method: Method that its job will probably have.
         extent: Half the cells along an axis of the grid that its job will probably have.
@@ -48,6 +50,7 @@ class Engine:
         threads: int,
         storage: Storage,
         *,
+        log_format: str = "text",
         job_dir: Path | None = None,
         method: str | None = None,
         extent: int | None = None,
@@ -62,7 +65,7 @@ class Engine:
         self._device: str | None = None  # once it is ready
         self._spans: EngineSpans | None = None
         likely = json.dumps({"method": method, "extent": extent})
-        engine = (str(threads), str(storage.kept_results), likely)
+        engine = (str(threads), str(storage.kept_results), likely, log_format)
         self._process = subprocess.Popen(
             python_command(
                 "chamfer_morph.worker.sandbox.offline",
@@ -107,6 +110,7 @@ class Engine:
             "attempt": attempt,
             "memory_bytes": memory_bytes,
             "traced": spans is not None,
+            "request": service_log.request_id.get(),
         }
         self._send(json.dumps(job).encode() + b"\n")
 

@@ -38,6 +38,7 @@ class SpareEngine:
         self._kept = settings.warm_engines
         self._threads = threads_per_job(settings)
         self._storage = storage
+        self._log_format = settings.log_format
         self._lock = threading.Lock()  # one thread keeps it, another takes it
         self._spare: Engine | None = None
         self._taken: Engine | None = None  # the last one that was
@@ -59,6 +60,7 @@ class SpareEngine:
                 self._spare = Engine(
                     self._threads,
                     self._storage,
+                    log_format=self._log_format,
                     method=self._method,
                     extent=taken.extent if taken else None,
                 )
@@ -73,7 +75,11 @@ class SpareEngine:
             else:
                 with (job_dir / "log.txt").open("ab") as messages:
                     self._taken = Engine(
-                        self._threads, self._storage, job_dir=job_dir, log=messages
+                        self._threads,
+                        self._storage,
+                        log_format=self._log_format,
+                        job_dir=job_dir,
+                        log=messages,
                     )
             return self._taken
 
