@@ -89,8 +89,9 @@ $(BLENDER):
 test-blender: install $(BLENDER)  ## add-on and point caches in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
 	MORPH_BLENDER=$(abspath $(BLENDER)) $(BIN)/python -m pytest -m blender
 
-image:  ## the container image `morph`, by docker or podman; IMAGE_OPTIONS are of their `build`
-	$(CONTAINER_ENGINE) build $(if $(findstring podman,$(CONTAINER_ENGINE)),--format docker) $(IMAGE_OPTIONS) \
+image:  ## the container image `morph` on Debian's BASE, by docker or podman; IMAGE_OPTIONS are of their `build`
+	@test -n "$(BASE)" || { echo "Which base? make image BASE=debian@sha256:...; docs/operating.md tells how to find the digest."; exit 2; }
+	$(CONTAINER_ENGINE) build --build-arg BASE=$(BASE) $(if $(findstring podman,$(CONTAINER_ENGINE)),--format docker) $(IMAGE_OPTIONS) \
 	  --tag morph --file docker/Dockerfile .
 
 test-image: install image  ## a job, MP4 and USD in the image, as no root, on a read-only root

@@ -90,6 +90,7 @@ def check_service() -> Iterator[Finding]:
         yield Finding("settings", "fault", error.cause, error.remedy)
         return
     yield check_disk(settings.data_dir)
+    yield from check_privacy(settings.data_dir)
     checks: list[tuple[str, Callable[[Settings], Finding]]] = [("database", check_database)]
     if settings.object_store:
         checks.append(("object store", check_object_store))
@@ -146,6 +147,15 @@ def check_disk(data_dir: Path) -> Finding:
     if free < LEAST_DISK:
         return Finding("disk", "warning", text, "Free some: a result takes 24 MB.")
     return Finding("disk", "ok", text)
+
+
+def check_privacy(data_dir: Path) -> Iterator[Finding]:
+    """Whether other users of this machine may look into the data directory, which has secrets."""
+    if os.name == "posix" and data_dir.exists() and data_dir.stat().st_mode & 0o077:
+        yield Finding(
+            "privacy", "warning", f"{data_dir} is open to other users of this machine.",
+            f"chmod 700 {data_dir}",
+        )  # fmt: skip
 
 
 def check_network() -> Finding:
@@ -248,4 +258,14 @@ def check_morph() -> Finding:
         if outcome.returncode or not out.is_file():
             last = outcome.stderr.strip() or describe_exit(outcome.returncode)
             return Finding("morph", "fault", last, "Report it with the lines above.")
-    return Finding("morph", "ok", f"two small frames in {seconds:.1f} s")
+    return Finding("morph", "ok", f"two small frames in {seconds:.1f} s on {_device()}")
+
+
+def _device() -> str:
+    """Where runs compute on this machine unless they are told otherwise."""
+    from morph_engine.backend import available_devices
+    from morph_engine.results.provenance import cpu_name, gpu_name
+
+    device = next(name for name in available_devices() if name != "vulkan")
+    name = {"cpu": cpu_name, "cuda": gpu_name}.get(device, str)()
+    return f"{device} ({name})" if name else device

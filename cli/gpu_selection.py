@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 import subprocess
+from itertools import takewhile
 
 from morph_engine.errors import ConfigError, DeviceError
 
 
 def chosen_gpus(text: str) -> list[str]:
-    """Indices of GPUs from `all` or a list such as `0,2`.
+    """GPUs as CUDA_VISIBLE_DEVICES names them, from `all` or a list such as `0,2`.
 
     Raises:
         ConfigError: It is neither.
-        DeviceError: There is no GPU to be found.
+        DeviceError: There is no GPU to be found, or none that this user may see.
     """
     if text != "all":
         indices = text.split(",")
@@ -21,8 +22,15 @@ def chosen_gpus(text: str) -> list[str]:
             raise ConfigError(f"--gpus {text} names no GPUs.", "Write all, or indices as in 0,2.")
         return list(dict.fromkeys(indices))
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if visible is not None and all(index.isdecimal() for index in visible.split(",")):
-        return visible.split(",")
+    if visible is not None:
+        names = [name.strip() for name in visible.split(",")]
+        found = [*takewhile(_names_gpu, names)]  # CUDA sees none behind one that it cannot find
+        if not found:
+            raise DeviceError(
+                f"CUDA_VISIBLE_DEVICES is {visible!r}, which leaves no GPU.",
+                "Unset it for all of them, or use --slots for the CPU.",
+            )
+        return list(dict.fromkeys(found))
     try:
         listed = subprocess.run(
             ["nvidia-smi", "--query-gpu=index", "--format=csv,noheader"],
@@ -35,3 +43,8 @@ def chosen_gpus(text: str) -> list[str]:
     if not listed:
         raise DeviceError("No NVIDIA GPU is to be found here.", "Use --slots for the CPU.")
     return listed
+
+
+def _names_gpu(name: str) -> bool:
+    """Whether a name is the index or the UUID of a GPU, or of a part of one."""
+    return name.isdecimal() or name.startswith(("GPU-", "MIG-"))

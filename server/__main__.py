@@ -12,6 +12,7 @@ import tempfile
 from typing import TYPE_CHECKING
 
 from chamfer_morph.worker import service_log, telemetry
+from chamfer_morph.worker.private_process import keep_private
 from chamfer_morph.worker.settings import Settings, load_settings
 from morph_engine.errors import MorphError
 
@@ -24,10 +25,11 @@ BAD_INPUT = 2
 def main() -> None:
     """Run one process until it is told to end."""
     arguments = _parser().parse_args()
+    keep_private()
     logging.getLogger("python_multipart").setLevel(logging.ERROR)  # strangers' forms are no news
     try:
         settings = load_settings()
-        service_log.set_up(settings)
+        service_log.set_up(settings.log_format)
         sys.exit(_run(arguments, settings))
     except MorphError as error:
         sys.stderr.write(f"{error.cause}\n{error.remedy}\n")
@@ -80,7 +82,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> int:
 
         migrate(settings)
         if settings.object_store:
-            open_storage(settings, "api").probe()
+            open_storage(settings, "api").probe_store()
     else:
         from chamfer_morph.server.api_server import ApiServer
         from chamfer_morph.server.http.connection_limits import allow_many_files

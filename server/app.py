@@ -70,7 +70,10 @@ def create_app(settings: Settings) -> FastAPI:
         context = await anyio.to_thread.run_sync(ServerContext, settings)
         app.state.context = context
         try:
-            yield
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(context.keep_uploads_tidy)
+                yield
+                tasks.cancel_scope.cancel()
         finally:
             context.event_hub.close()
             context.close_computations()
@@ -93,6 +96,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(
         BodyLimitMiddleware,
         timeout_seconds=settings.upload_timeout_seconds,
+        deadline_seconds=settings.upload_deadline_seconds,
         max_bytes=settings.body_bytes,
         exceptions={
             "/v1/meshes": settings.upload_bytes + settings.body_bytes,

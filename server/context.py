@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
@@ -22,19 +23,27 @@ from chamfer_morph.server.failure_counts import FailureCounts
 from chamfer_morph.server.mesh_locks import MeshLocks
 from chamfer_morph.server.quotas import Quotas
 from chamfer_morph.server.single_flight import SingleFlight
+from chamfer_morph.server.store_watch import StoreWatch
 from chamfer_morph.server.turns import Turns
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.frame_reader import Colors
 from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.retention.abandoned_uploads import (
+    ABANDONED_SECONDS,
+    delete_abandoned_uploads,
+)
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
+from chamfer_morph.worker.retention.steady_clock import clock_of
 from chamfer_morph.worker.sandbox.budget import Budget
 from chamfer_morph.worker.sandbox.computations import SampledShape, Sandbox
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import WorkerSlots
 from chamfer_morph.worker.storage import Storage, open_storage
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
+
+log: logging.Logger = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
 
@@ -57,6 +66,7 @@ class ServerContext:
         self.settings: Settings = settings
         self.storage: Storage = open_storage(settings, "api")
         self.store_is_away_until: float = float("-inf")
+        self.store_watch: StoreWatch = StoreWatch(self.storage.probe_store)
         self.queue: JobQueue = JobQueue(settings)
         self.queue.migrate()
         self.engine: sa.Engine = database(settings)
@@ -74,6 +84,7 @@ class ServerContext:
         self.sweeps: SweepStore = SweepStore(self.engine)
         self.job_sizes: JobSizes = JobSizes(self.engine, self.queue, self.storage)
         self.deletions: Deletions = Deletions(self.engine, self.queue, self.storage)
+        self._clock = clock_of(settings, self.job_sizes)
         self.quotas: Quotas = Quotas(
             settings, self.queue, self.meshes, self.job_sizes, Reservations(self.engine)
         )
@@ -111,6 +122,22 @@ class ServerContext:
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
         """Call a function that takes a while in a thread, when its turn has come."""
         return await anyio.to_thread.run_sync(function, *args, limiter=self._compute_limiter)
+
+    async def keep_uploads_tidy(self) -> None:
+        """Delete uploads of APIs of this machine that were killed, now and every hour, for ever.
+
+        No janitor sees them where machines share no folder.
+        """
+        while True:
+            try:
+                await anyio.to_thread.run_sync(self._delete_abandoned_uploads)
+            except Exception:  # the disk refuses: try again
+                log.exception("uploads that have broken off could not be deleted")
+            await anyio.sleep(ABANDONED_SECONDS)
+
+    def _delete_abandoned_uploads(self) -> None:
+        if self._clock.is_steady():
+            delete_abandoned_uploads(self.storage)
 
     def cancel_computations(self, job_id: str) -> None:
         """End what is being computed from the frames of a job, which go."""

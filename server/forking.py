@@ -5,16 +5,30 @@ Its folder is complete before it is in the queue, so that it needs the other job
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 from chamfer_morph.schemas import ForkOrigin, ForkRequest
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
-from chamfer_morph.server.submission import body_digest, idempotency_conflict, idempotent_id
+from chamfer_morph.server.submission import (
+    body_digest,
+    check_memory,
+    disk_bytes,
+    idempotency_conflict,
+    idempotent_id,
+)
 from chamfer_morph.worker.kept_states import find_state
 from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.settings import Settings
+from morph_engine.cost import estimate
 from morph_engine.errors import DamagedError, ResultError
 from morph_engine.results.fork import begin_fork, forked_config
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.spool import SpoolReader
+from morph_engine.results.trajectory import Trajectory
 
 
 def fork(
@@ -34,6 +48,7 @@ def fork(
 
     Raises:
         ConfigError: A setting is unknown, out of range, or has to stay as it is.
+        ResourceError: The fork needs more memory than jobs may have.
         ProblemError: 409, there is no state to begin with, or the job goes through several shapes;
             422, the idempotency key belongs to another request; or a limit of the key.
     """
@@ -76,6 +91,8 @@ def _begin(
     except ResultError as error:
         raise ProblemError(409, error.cause, error.remedy) from error
     config = forked_config(job.spec.config, request.overrides, state.frame)
+    run = replace(_run_of(storage.result_path(job.id)), config=config)
+    check_memory(_memory_mb(run, context.settings), context.settings)
     limit = context.settings.job_timeout_seconds
     spec = job.spec.model_copy(
         update={
@@ -85,6 +102,7 @@ def _begin(
             "fork": ForkOrigin(job=job.id, frame=state.frame),
         }
     )
+    context.quotas.check_disk(caller.name, disk_bytes(run.particle_count, spec))
     try:
         storage.claim(fork_id, 0)
         begin_fork(storage.result_path(job.id), state, config, storage.result_path(fork_id))
@@ -111,3 +129,32 @@ def _begin(
             "estimate": job.estimate * share,
         },
     )
+
+
+def _run_of(result: Path) -> RunRecord:
+    """What a run is made of, finished or not.
+
+    Raises:
+        ResultError: It is damaged.
+    """
+    spool = SpoolReader(result)
+    if spool.exists:
+        return spool.run
+    with Trajectory(result) as trajectory:
+        return trajectory.run
+
+
+def _memory_mb(run: RunRecord, settings: Settings) -> float:
+    """Memory that a run of one leg will take [MB]."""
+    leg, particles, targets = run.leg(0), run.particle_count, len(run.target_points)
+    method = leg.config.method
+    nodes = method.node_count(leg.config, radius=leg.radius, ratio=targets / particles)
+    expected = estimate(
+        particles,
+        targets,
+        leg.config.frames,
+        method=method.name,
+        threads=settings.threads or None,
+        nodes=nodes,
+    )
+    return expected.memory_mb

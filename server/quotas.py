@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from chamfer_morph.server.database.meshes import MeshStore
-from chamfer_morph.server.database.reservations import Reservations
+from chamfer_morph.server.database.reservations import Reservation, Reservations
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.retention.job_sizes import JobSizes
@@ -32,13 +32,24 @@ class Incoming:
         quotas: Where it counts.
         owner: Whose it is.
         room: Disk that the owner may still fill, with all that is on its way in [bytes].
+        reservation: By which it counts as a mesh.
     """
 
-    def __init__(self, quotas: Quotas, owner: str, room: int) -> None:
+    def __init__(self, quotas: Quotas, owner: str, room: int, reservation: Reservation) -> None:
         self._quotas = quotas
         self._owner = owner
         self._room = room
+        self._reservation = reservation
         self._bytes = 0
+
+    def keep_place(self) -> None:
+        """See that it still counts as a mesh, however long it took to come. Blocks.
+
+        Raises:
+            ProblemError: 429, it has lost its place, and others have taken it.
+        """
+        self._reservation.renew()
+        self._quotas.check_meshes(self._reservation)
 
     def add(self, count: int) -> None:
         """Count what has come.
@@ -86,8 +97,15 @@ class Quotas:
         self._bytes_let_in: Counter[str] = Counter()
 
     @contextmanager
-    def letting_in_jobs(self, owner: str, adding: int = 1) -> Iterator[Callable[[], None]]:
-        """Refuse more unfinished jobs than a key may have, and jobs of a key whose disk is full.
+    def letting_in_jobs(
+        self, owner: str, adding: int = 1, *, needed_bytes: int = 0
+    ) -> Iterator[Callable[[], None]]:
+        """Refuse more unfinished jobs than a key may have, and jobs that its disk has no room for.
+
+        Args:
+            owner: Name of the key.
+            adding: How many jobs it wants to add.
+            needed_bytes: Disk that these will fill [bytes].
 
         Yields:
             To be called once each of the jobs is in the queue.
@@ -95,7 +113,7 @@ class Quotas:
         Raises:
             ProblemError: 429 or 413.
         """
-        self.check_disk(owner)
+        self.check_disk(owner, needed_bytes)
         limit = self._settings.queued_jobs_per_key
         with self._reservations.reserving(
             "jobs", owner, adding, limit, lambda: self._queue.unfinished(owner)
@@ -174,14 +192,23 @@ class Quotas:
         with self._reservations.reserving(
             "meshes", owner, adding, limit, lambda: self._meshes.totals(owner)[0]
         ) as reserved:
-            if reserved.refused:
-                cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
-                raise _refusal(429, cause, "Delete those that are not needed any more.")
-            incoming = Incoming(self, owner, room)
+            self.check_meshes(reserved)
+            incoming = Incoming(self, owner, room, reserved)
             try:
                 yield incoming
             finally:
                 incoming.close()
+
+    def check_meshes(self, reserved: Reservation) -> None:
+        """Refuse meshes that there is no room for.
+
+        Raises:
+            ProblemError: 429.
+        """
+        if reserved.refused:
+            limit = self._settings.meshes_per_key
+            cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
+            raise _refusal(429, cause, "Delete those that are not needed any more.")
 
     @contextmanager
     def storing_mesh(self, owner: str, size_bytes: int) -> Iterator[None]:
@@ -205,8 +232,12 @@ class Quotas:
             self._bytes_let_in[owner] += count
             return self._bytes_let_in[owner]
 
-    def check_disk(self, owner: str) -> None:
-        """Refuse a key whose meshes and jobs fill the disk that it may fill.
+    def check_disk(self, owner: str, needed_bytes: int = 0) -> None:
+        """Refuse a key whose meshes and jobs fill the disk that it may fill, or would with more.
+
+        Args:
+            owner: Name of the key.
+            needed_bytes: What it is about to add [bytes].
 
         Raises:
             ProblemError: 413.
@@ -214,6 +245,14 @@ class Quotas:
         used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
             raise _disk_is_full(used, limit)
+        if used + needed_bytes > limit:
+            raise _refusal(
+                413,
+                f"This would fill about {needed_bytes / 1e9:,.1f} GB of disk, and this key may "
+                f"fill {(limit - used) / 1e9:,.1f} GB more.",
+                "Ask for fewer `frames` or states (`states_every`), or for coarser particles; or "
+                "delete jobs or meshes that are not needed any more.",
+            )
 
     def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].

@@ -20,16 +20,16 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.reuse import TAKEOVER_SECONDS, find_equal, run_digest, take_over
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.kept_states import states_bytes
 from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.settings import Settings
 from morph_engine import presets
 from morph_engine.config import MorphConfig
-from morph_engine.cost import Estimate, estimate
+from morph_engine.cost import BYTES_IN_RESULT, Estimate, estimate
 from morph_engine.errors import ConfigError, MeshError, ResourceError
 from morph_engine.geometry.placement import Placement, place
 from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
 from morph_engine.geometry.solid import Solid
-from morph_engine.machine_memory import total_memory
 from morph_engine.results.run_record import config_at
 
 ROUNDNESS = 1.15
@@ -45,12 +45,14 @@ class Submission:
         attributes: What the service keeps beside it.
         priority: Smaller runs earlier.
         reuse: Whether the result of an equal job will do.
+        disk_bytes: Disk that it will fill [bytes].
     """
 
     spec: JobSpec
     attributes: dict[str, str | int | float]
     priority: int
     reuse: bool
+    disk_bytes: int
 
 
 def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Submission:
@@ -80,8 +82,12 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         half_extent=config.domain,
         poses=config.placement,
     )
-    expected = _estimate(names, solids, placement, config, context.settings)
-    _check_memory(expected.memory_mb, context.settings)
+    counts = [
+        _particle_count(*shape, config)
+        for shape in zip(names, solids, placement.stops, strict=True)
+    ]
+    expected = _estimate(counts, solids, placement, config, context.settings)
+    check_memory(expected.memory_mb, context.settings)
     limit = context.settings.job_timeout_seconds
     spec = JobSpec(
         source=request.source,
@@ -108,25 +114,25 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         },
         priority=request.priority,
         reuse=request.reuse,
+        disk_bytes=disk_bytes(counts[0], spec),
     )
 
 
+def disk_bytes(particle_count: int, spec: JobSpec) -> int:
+    """About the disk that the frames and states of a job fill [bytes]."""
+    config, frames = spec.config, spec.frame_count
+    states = states_bytes(particle_count, frames, spec.states_every, config.precision)
+    return BYTES_IN_RESULT * particle_count * frames + states
+
+
 def _estimate(
-    names: Sequence[str],
+    counts: Sequence[int],
     solids: Sequence[Solid],
     placement: Placement,
     config: MorphConfig,
     settings: Settings,
 ) -> Estimate:
-    """What a job will cost, whose shapes are these in their order.
-
-    Raises:
-        MeshError: A shape reaches beyond the domain, or has room for too few particles.
-    """
-    counts = [
-        _particle_count(*shape, config)
-        for shape in zip(names, solids, placement.stops, strict=True)
-    ]
+    """What a job will cost, whose shapes are these in their order, with so many particles."""
     radii = [_radius(*shape) for shape in zip(solids, placement.stops, strict=True)]
     ratios = [after / before for before, after in pairwise(counts)]
     nodes = [
@@ -157,13 +163,13 @@ def _radius(solid: Solid, to_grid: Similarity) -> float:
     return ROUNDNESS * float(np.abs(to_grid.box(solid.bounds)).max())
 
 
-def _check_memory(needed_mb: float, settings: Settings) -> None:
+def check_memory(needed_mb: float, settings: Settings) -> None:
     """Refuse what no worker has room for.
 
     Raises:
         ResourceError: It needs more than jobs may have.
     """
-    largest = (settings.job_memory_bytes or total_memory()) / 1e6
+    largest = settings.memory_per_job / 1e6
     if needed_mb > largest:
         raise ResourceError(
             f"The job needs about {needed_mb:,.0f} MB of memory, and jobs here may have "

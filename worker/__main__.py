@@ -9,15 +9,19 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
 from chamfer_morph.worker import liveness, service_log, telemetry
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.private_process import keep_private
 from chamfer_morph.worker.settings import Settings, load_settings
 from chamfer_morph.worker.slots import WorkerSlots, executor_id, janitor_id
 from morph_engine.errors import MorphError
+
+if TYPE_CHECKING:
+    from chamfer_morph.worker.storage import Storage
 
 POLL_SECONDS = 0.05
 LOCK_CHECK_SECONDS = 4.0
@@ -30,9 +34,10 @@ LOCK_TIMEOUT_SECONDS = 10.0
 def main() -> None:
     """Run one process until it is told to end."""
     arguments = _parser().parse_args()
+    keep_private()
     try:
         settings = load_settings()
-        service_log.set_up(settings)
+        service_log.set_up(settings.log_format)
         _run(arguments, settings)
     except MorphError as error:
         sys.exit(f"{error.cause}\n{error.remedy}")
@@ -69,16 +74,16 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> None:
     check_layout(settings)
     if runs:
         telemetry.set_up("morph-worker")
-        run_slot(settings, executor, storage.kept_results)
+        run_slot(settings, executor, storage)
     elif arguments.command == "janitor":
         from chamfer_morph.worker import janitor
 
         janitor.run(settings)
     else:
-        adopt(settings, arguments.executor, storage.kept_results)
+        adopt(settings, arguments.executor, storage)
 
 
-def adopt(settings: Settings, executor: str, kept_results: Path) -> None:
+def adopt(settings: Settings, executor: str, storage: Storage) -> None:
     """Queue the jobs again that a worker left, under its name; the caller holds its lock.
 
     It ends by a signal where it takes too long, whether or not the caller still lives.
@@ -88,7 +93,7 @@ def adopt(settings: Settings, executor: str, kept_results: Path) -> None:
     from chamfer_morph.worker.queue import JobQueue
     from chamfer_morph.worker.workflow import launch
 
-    spare = SpareEngine(settings, kept_results)
+    spare = SpareEngine(settings, storage)
     launch(settings, executor, spare, listen=False)  # DBOS queues them in a thread of its own
     queue = JobQueue(settings)
     while executor in queue.running():
@@ -97,7 +102,7 @@ def adopt(settings: Settings, executor: str, kept_results: Path) -> None:
     os._exit(0)
 
 
-def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
+def run_slot(settings: Settings, executor: str, storage: Storage) -> None:
     """Work until a signal or the loss of the slot's lock; jobs under way stay in the queue."""
     from chamfer_morph.worker.dbos_adapter import database
     from chamfer_morph.worker.engines.spare_engine import SpareEngine
@@ -118,7 +123,7 @@ def run_slot(settings: Settings, executor: str, kept_results: Path) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
-    spare = SpareEngine(settings, kept_results)
+    spare = SpareEngine(settings, storage)
     look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
     while not ended.is_set():

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import sys
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -14,13 +15,20 @@ from chamfer_morph.schemas import Outcome, Problem
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
 from chamfer_morph.worker.job import LESS_MEMORY, JobSpec
+from chamfer_morph.worker.service_log import last_words
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import folder_bytes
 from chamfer_morph.worker.telemetry import EngineSpans, is_on
-from morph_engine.machine_memory import total_memory
+from morph_engine.results.spool import spool_path
 
 HEARTBEAT_SECONDS = 1.0
 STOP_SECONDS = 1.5
 LOG_TAIL_BYTES = 2000
+PROGRAM = Path(__file__).resolve().parents[1]
+"""Where this program lies."""
+
+DISK_SECONDS = 10.0
+"""How often it is seen how much disk a job fills."""
 
 
 class AttemptFailed(Exception):
@@ -63,14 +71,16 @@ async def run_attempt(
         What the job left behind.
 
     Raises:
-        AttemptFailed: The engine refused the job, died, hung, or took more memory than jobs may.
+        AttemptFailed: The engine refused the job, died, hung, or took more memory or disk than jobs
+            may.
     """
     spec = JobSpec.model_validate_json((job_dir / "spec.json").read_text(encoding="utf-8"))
-    largest = settings.job_memory_bytes or total_memory()
+    largest = settings.memory_per_job
     engine = spare.take(spec, job_dir)
     spans = EngineSpans(spec.frame_count) if is_on() else None
     engine.assign(job_dir, attempt, largest, spans)
     ended = asyncio.ensure_future(asyncio.to_thread(engine.wait))
+    next_look = time.monotonic()
     try:
         while not ended.done():
             await asyncio.wait({ended}, timeout=HEARTBEAT_SECONDS)
@@ -79,6 +89,11 @@ async def run_attempt(
             if engine.peak_memory > largest:
                 engine.kill()
                 raise AttemptFailed(_too_large(engine, largest), engine.frames)
+            if time.monotonic() >= next_look:
+                next_look = time.monotonic() + DISK_SECONDS
+                filled = await asyncio.to_thread(_unfinished_bytes, job_dir)
+                if filled > settings.disk_bytes_per_key:
+                    raise AttemptFailed(_too_much_disk(filled, settings), engine.frames)
             if time.monotonic() - engine.last_message_at > settings.stall_seconds:
                 raise AttemptFailed(_hang(settings), engine.frames)
     except BaseException:
@@ -87,7 +102,7 @@ async def run_attempt(
     if engine.outcome is not None:
         return engine.outcome
     problem = engine.problem or _crash(ended.result(), engine, job_dir / "log.txt")
-    raise AttemptFailed(_without_folder(problem, job_dir.parent.parent), engine.frames)
+    raise AttemptFailed(_without_folders(problem, job_dir.parent.parent), engine.frames)
 
 
 async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
@@ -104,10 +119,13 @@ async def _stop(engine: Engine, ended: asyncio.Future[int]) -> None:
         engine.kill()
 
 
-def _without_folder(problem: Problem, folder: Path) -> Problem:
-    """The same for users, who need not know where the data directory lies."""
-    texts = {name: getattr(problem, name).replace(f"{folder}/", "") for name in ("cause", "remedy")}
-    return problem.model_copy(update=texts)
+def _without_folders(problem: Problem, data_dir: Path) -> Problem:
+    """The same for users, who need not know where data directory and programs lie."""
+    folders = {data_dir, Path(sys.prefix), Path(sys.base_prefix), PROGRAM, Path.home()}
+    told = {"cause": problem.cause, "remedy": problem.remedy}
+    for folder in sorted(map(str, folders), key=len, reverse=True):  # the inner ones first
+        told = {name: text.replace(f"{folder}/", "") for name, text in told.items()}
+    return problem.model_copy(update=told)
 
 
 def _hang(settings: Settings) -> Problem:
@@ -123,6 +141,21 @@ def _too_large(engine: Engine, largest: int) -> Problem:
         cause=f"The engine took {engine.peak_memory / 1e6:,.0f} MB of memory, where jobs may have "
         f"{largest / 1e6:,.0f} MB, and was stopped.",
         remedy=LESS_MEMORY,
+        kind="resources",
+    )
+
+
+def _unfinished_bytes(job_dir: Path) -> int:
+    """Disk that frames and states of a job fill; the result takes the place of frames [bytes]."""
+    return folder_bytes(spool_path(job_dir / "result.vtkhdf")) + folder_bytes(job_dir / "states")
+
+
+def _too_much_disk(filled: int, settings: Settings) -> Problem:
+    return Problem(
+        cause=f"The job's frames and states fill {filled / 1e9:,.1f} GB of disk, and all that its "
+        f"key keeps may fill {settings.disk_bytes_per_key / 1e9:,.1f} GB.",
+        remedy="Ask for fewer `frames`, states (`states_every`) or particles, or raise "
+        "MORPH_DISK_BYTES_PER_KEY and resume the job.",
         kind="resources",
     )
 
@@ -155,4 +188,4 @@ def _last_line(log: Path) -> str:
     with log.open("rb") as file:
         file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES, 0))
         lines = file.read().decode(errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+    return last_words(next((line.strip() for line in reversed(lines) if line.strip()), ""))

@@ -22,6 +22,7 @@ from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
 from dbos import _dbos as dbos_main
 from dbos import _queue as dbos_queue
 from dbos._serialization import DefaultSerializer
+from dbos._utils import retriable_postgres_exception, retriable_sqlite_exception
 
 from chamfer_morph.worker.alarm import Alarm
 from chamfer_morph.worker.exit_codes import ExitCode
@@ -51,6 +52,9 @@ PAYLOADS = ("workflow_input", "workflow_output", "operation_outputs")
 """Tables with rows of a workflow that do not go with its own row by themselves."""
 
 REST_SECONDS = 30.0
+
+CONTENTION = (psycopg.errors.LockNotAvailable, psycopg.errors.SerializationFailure)
+"""What workers that claim jobs at the same time do to each other."""
 
 SERIALIZER: DBOSPortableJSONSerializer = DBOSPortableJSONSerializer()
 """How DBOS stores what is not stored in the portable format anyway."""
@@ -298,13 +302,13 @@ def check_reachable(settings: Settings) -> None:
         engine.dispose()
 
 
-def end_when_disk_is_full(engine: sa.Engine) -> None:
-    """End this process as soon as SQLite finds the disk full.
+def end_when_refused(engine: sa.Engine) -> None:
+    """End this process as soon as the database refuses what DBOS does not ask for again.
 
     DBOS gives up the outcome of a job whose commit fails so, and the job would run for ever. A
-    worker that is started again takes the job up, as after a kill. Postgres is asked again by DBOS.
+    worker that is started again takes the job up, as after a kill.
     """
-    sa.event.listen(engine, "handle_error", _end_if_disk_is_full)
+    sa.event.listen(engine, "handle_error", _end_if_refused)
 
 
 def is_disk_full(error: BaseException | None) -> bool:
@@ -314,10 +318,22 @@ def is_disk_full(error: BaseException | None) -> bool:
     )
 
 
-def _end_if_disk_is_full(context: sa.ExceptionContext) -> None:
-    if is_disk_full(context.original_exception):
-        log.error("the disk of the database is full; this worker ends")
-        os._exit(ExitCode.DISK_FULL)
+def _end_if_refused(context: sa.ExceptionContext) -> None:
+    if _is_refusal(context.sqlalchemy_exception):
+        log.error("the database cannot be used (%s); this worker ends", context.original_exception)
+        os._exit(ExitCode.DATABASE_REFUSES)
+
+
+def _is_refusal(error: BaseException | None) -> bool:
+    """Whether a database cannot be used, and neither DBOS nor its queue tries again by itself."""
+    if not isinstance(error, sa.exc.OperationalError | sa.exc.InternalError):
+        return False
+    tried_again = (
+        isinstance(error.orig, CONTENTION)
+        or retriable_postgres_exception(error)
+        or retriable_sqlite_exception(error)
+    )
+    return is_disk_full(error.orig) or not tried_again
 
 
 def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:

@@ -1,12 +1,12 @@
 """An engine process: it computes one job. Its arguments are those of `main`.
 
 Started without a job it gets ready for one. It then waits for a line of JSON on standard input with
-`job_dir`, `attempt`, the `memory_bytes` that it may take and whether it is `traced`, writes frames,
-checkpoint, events and result, and tells its worker about them in JSON lines on standard output. It
-computes only while it holds the lock of the job directory, and only as long as its worker lives:
-with a job, the worker sends a byte a second on standard input. At the end of the input, or after
-six silent seconds, the process ends at once; on STOP it makes a result of the finished frames
-first.
+`job_dir`, `attempt`, the `memory_bytes` that it may take, whether it is `traced` and the `request`
+that the job was queued by. It writes frames, checkpoint, events and result, and tells its worker
+about them in JSON lines on standard output. It computes only while it holds the lock of the job
+directory, and only as long as its worker lives: with a job, the worker sends a byte a second on
+standard input. At the end of the input, or after six silent seconds, the process ends at once; on
+STOP it makes a result of the finished frames first.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Any
 import psutil
 
 from chamfer_morph.schemas import JobStage, Outcome, Problem
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.event_log import told_frames
 from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.heartbeat import STOP
@@ -51,14 +52,16 @@ from morph_engine.warm_up import extent_of, warm_up
 SILENCE_SECONDS = 6.0
 
 
-def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
+def main(threads: int, kept_in: Path, likely: Mapping[str, Any], log_format: str) -> None:
     """Wait for a job, compute it or go on with it, and say how it went.
 
     Args:
         threads: CPU threads to compute with.
         kept_in: Folder of what engines keep for later jobs.
         likely: `method` and `extent` that the job will probably have, see `warm_up`.
+        log_format: How to log, `text` or `json`.
     """
+    service_log.set_up_engine(log_format)
     lower_priority()
     be_ended_first()
     kept_results.keep_in(kept_in)
@@ -75,6 +78,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any]) -> None:
         spans.listen(_SpanMessages())
     job_dir = Path(job["job_dir"])
     _write_messages_to(job_dir / "log.txt")
+    service_log.of_process.update(job=job_dir.name, request=job["request"])
     if "cuda" not in backend.available_devices():  # whose driver reserves more than there is
         limit_memory(job["memory_bytes"])
     storage = Storage(job_dir.parent.parent)
@@ -262,4 +266,4 @@ def _send(type: str, data: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]))
+    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]), sys.argv[4])

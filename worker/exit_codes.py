@@ -20,5 +20,5 @@ class ExitCode(IntEnum):
     PAUSED = 78
     """Its worker slot has been paused or unpaused, and begins afresh."""
 
-    DISK_FULL = 79
-    """The disk of the database is full, and nothing can be reported."""
+    DATABASE_REFUSES = 79
+    """The database cannot be used, say for a full disk, and nothing can be reported."""

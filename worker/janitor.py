@@ -5,7 +5,6 @@ The process sends messages to webhooks, too.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import subprocess
 import time
@@ -17,9 +16,10 @@ from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.locks import try_lock
 from chamfer_morph.worker.queue import JobQueue
+from chamfer_morph.worker.retention.abandoned_uploads import delete_abandoned_uploads
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import PAGE, JobSizes
-from chamfer_morph.worker.retention.steady_clock import SteadyClock
+from chamfer_morph.worker.retention.steady_clock import clock_of
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import janitor_id
 from chamfer_morph.worker.storage import Storage, open_storage
@@ -32,8 +32,6 @@ log: logging.Logger = logging.getLogger(__name__)
 ADOPTION_LIMIT_SECONDS = 70.0
 """After this an adoption is killed; it ends itself sooner, unless somebody has stopped it."""
 RETENTION_SECONDS = 60.0
-ABANDONED_SECONDS = 3600.0
-"""An upload that has not grown for so long belongs to nobody: its API was killed."""
 
 
 def adopt_in_process(executor: str) -> None:
@@ -125,19 +123,32 @@ def delete_expired(
     return deleted
 
 
-def delete_abandoned_uploads(storage: Storage) -> list[str]:
-    """Delete what an API that was killed had received of files.
+def delete_old(
+    settings: Settings,
+    queue: JobQueue,
+    storage: Storage,
+    sizes: JobSizes,
+    deletions: Deletions,
+    webhooks: Webhooks,
+    *,
+    steady: bool,
+) -> None:
+    """Delete what nobody needs any more.
 
-    Returns:
-        Names of the deleted files.
+    Args:
+        settings: How long and how much finished jobs are kept.
+        queue: The queue.
+        storage: The files.
+        sizes: How much disk finished jobs fill.
+        deletions: Deletes jobs.
+        webhooks: Messages to webhooks.
+        steady: Whether the clock can be believed; nothing is deleted for its age else.
     """
-    deleted = []
-    for path in storage.uploads.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # it has arrived meanwhile
-            if time.time() - path.stat().st_mtime > ABANDONED_SECONDS:
-                path.unlink()
-                deleted.append(path.name)
-    return deleted
+    delete_expired(settings, queue, sizes, deletions, by_age=steady)
+    if steady:
+        deletions.finish()
+        delete_abandoned_uploads(storage)
+        webhooks.forget_old()
 
 
 def run(settings: Settings) -> None:
@@ -147,7 +158,7 @@ def run(settings: Settings) -> None:
     storage = open_storage(settings, "janitor")
     engine = database(settings)
     sizes, deletions = JobSizes(engine, queue, storage), Deletions(engine, queue, storage)
-    clock = SteadyClock(settings.data_dir / "locks" / "clock")
+    clock = clock_of(settings, sizes)
     engine = database(settings, kept=1)
     webhooks, adoptions = Webhooks(engine), Adoptions(engine)
     absent_slots = AbsentSlots(settings, engine, queue)
@@ -164,12 +175,9 @@ def run(settings: Settings) -> None:
             adopt_orphans(settings, queue, adopt)
             if time.monotonic() > next_deletion:
                 steady = clock.is_steady()
-                if settings.retention_days and not steady:
-                    log.warning("the clock has jumped; for a day no job is deleted for its age")
-                delete_expired(settings, queue, sizes, deletions, by_age=steady)
-                deletions.finish()
-                delete_abandoned_uploads(storage)
-                webhooks.forget_old()
+                if not steady:
+                    log.warning("the clock has jumped; for a day nothing is deleted for its age")
+                delete_old(settings, queue, storage, sizes, deletions, webhooks, steady=steady)
                 absent_slots.forget()
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again

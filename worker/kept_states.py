@@ -7,10 +7,25 @@ job was asked to.
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Literal
 
 from chamfer_morph.worker.storage import Storage
 from morph_engine.errors import ResultError
 from morph_engine.results.spool import Checkpoint, checkpoint_path, keep_checkpoint, read_checkpoint
+
+BYTES_OF_PARTICLE = 100
+"""Of a state in single precision: position, velocity, affine velocity and deformation gradient."""
+
+
+def states_bytes(
+    particle_count: int,
+    frames: int,
+    states_every: int,
+    precision: Literal["float32", "float64"] = "float32",
+) -> int:
+    """About the disk that the states fill which a job keeps [bytes]."""
+    count = frames // states_every if states_every else 0
+    return BYTES_OF_PARTICLE * (2 if precision == "float64" else 1) * particle_count * count
 
 
 def keep_state(storage: Storage, job_id: str, frame: int) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 from contextvars import ContextVar
 from datetime import datetime, timezone
+from types import TracebackType
 from typing import Any
 
 from chamfer_morph.worker import telemetry
-from chamfer_morph.worker.settings import Settings
 
 job_id: ContextVar[str] = ContextVar("job_id", default="")
 """The job that is worked on; empty where there is none."""
@@ -17,20 +18,46 @@ job_id: ContextVar[str] = ContextVar("job_id", default="")
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 """The request that is answered, or that the job was last queued by; empty where there is none."""
 
+of_process: dict[str, str] = {}
+"""What all lines of this process tell, as those of an engine that has one job."""
+
 TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 TOLD = ("chamfer_morph.audit", "chamfer_morph.jobs")
 """Loggers whose lines of level INFO are written, too."""
 
 
-def set_up(settings: Settings) -> None:
-    """Write the log of this process to standard error, as the settings want it."""
+def set_up(log_format: str) -> None:
+    """Write the log of this process to standard error, as `text` or `json`."""
     handler = logging.StreamHandler()
-    as_json = settings.log_format == "json"
+    as_json = log_format == "json"
     handler.setFormatter(JsonFormatter() if as_json else logging.Formatter(TEXT))
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
     for name in TOLD if as_json else TOLD[:1]:
         logging.getLogger(name).setLevel(logging.INFO)
+
+
+def set_up_engine(log_format: str) -> None:
+    """The same for an engine, whose warnings and last exception are lines of the log, too."""
+    if log_format == "json":
+        set_up(log_format)
+        logging.captureWarnings(True)
+        sys.excepthook = _log_exception
+
+
+def last_words(line: str) -> str:
+    """What a line of a log tells, whichever format it has."""
+    try:
+        told = json.loads(line)
+        return str(told.get("error") or told["message"]).strip().splitlines()[-1]
+    except (ValueError, LookupError, AttributeError):  # text
+        return line
+
+
+def _log_exception(
+    kind: type[BaseException], error: BaseException, traceback: TracebackType | None
+) -> None:
+    logging.getLogger(__name__).critical("%s", error, exc_info=(kind, error, traceback))
 
 
 class JsonFormatter(logging.Formatter):
@@ -49,6 +76,7 @@ class JsonFormatter(logging.Formatter):
             "level": record.levelname.lower(),
             "logger": record.name,
         }
+        line |= of_process
         if job := job_id.get():
             line["job"] = job
         if request := request_id.get():

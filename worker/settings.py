@@ -12,6 +12,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, DotEnvSettingsSource, SettingsConfigDict
 
 from morph_engine.errors import ConfigError
+from morph_engine.machine_memory import total_memory
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -95,7 +96,7 @@ class Settings(BaseSettings):
         0,
         ge=0,
         description="Jobs that would need more memory are refused, and stopped if they take more; "
-        "0: than this machine has [bytes].",
+        "0: than this machine has, shared out evenly to its workers [bytes].",
     )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
@@ -114,6 +115,9 @@ class Settings(BaseSettings):
     body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON request body [bytes].")
     upload_timeout_seconds: float = Field(
         60, gt=0, description="An upload that sends nothing for so long is dropped [s]."
+    )
+    upload_deadline_seconds: float = Field(
+        3600, gt=0, description="An upload that takes longer is dropped [s]."
     )
     inspect_memory_bytes: int = Field(2 * GIB, gt=0, description="Memory to parse a mesh [bytes].")
     inspect_cpu_seconds: int = Field(60, gt=0, description="CPU time to parse a mesh [s].")
@@ -209,6 +213,11 @@ class Settings(BaseSettings):
     def allowed_webhook_networks(self) -> tuple[Network, ...]:
         """Networks that webhooks may reach although they are not public."""
         return _networks(self.webhook_networks)
+
+    @property
+    def memory_per_job(self) -> int:
+        """Memory that a job may take: as set, or an even share of what there is [bytes]."""
+        return self.job_memory_bytes or total_memory() // max(1, self.workers)
 
     @property
     def queue_poll_seconds(self) -> float:

@@ -112,6 +112,13 @@ class Storage:
         finally:
             path.unlink(missing_ok=True)
 
+    def probe_store(self) -> None:
+        """See whether the object store answers, where there is one.
+
+        Raises:
+            StoreUnavailableError: It does not.
+        """
+
     def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:
         """Move an uploaded file to its place; the mesh exists once its report does."""
         folder = self._mesh_folder(sha256)

@@ -21,7 +21,7 @@ from chamfer_morph.worker.attempt import AttemptFailed, run_attempt
 from chamfer_morph.worker.dbos_adapter import (
     SERIALIZER,
     database,
-    end_when_disk_is_full,
+    end_when_refused,
     look_for_jobs_when_woken,
 )
 from chamfer_morph.worker.engines.spare_engine import SpareEngine
@@ -67,7 +67,7 @@ def launch(
     _settings, _executor, _spare = settings, executor, spare
     engine = database(settings, kept=1)
     _slots = WorkerSlots(engine)
-    end_when_disk_is_full(engine)
+    end_when_refused(engine)
     config: DBOSConfig = {
         "name": queue.APPLICATION,
         "system_database_url": settings.system_database_url,

@@ -35,8 +35,10 @@ def backup(
     store the folder gets the database alone. For Postgres this runs its program pg_dump.
     """
     from chamfer_morph.server.backup.backup import back_up
+    from chamfer_morph.worker.private_process import keep_private
     from chamfer_morph.worker.settings import load_settings
 
+    keep_private()
     with _counting(quiet=quiet) as on_copied:
         record = back_up(load_settings(), folder, on_copied)
     _print(record, folder, f"morph restore {folder}", as_json=as_json)
@@ -53,8 +55,10 @@ def restore(
     Then start it: jobs that were running go on.
     """
     from chamfer_morph.server.backup.backup import restore as restore_service
+    from chamfer_morph.worker.private_process import keep_private
     from chamfer_morph.worker.settings import load_settings
 
+    keep_private()
     with _counting(quiet=quiet) as on_copied:
         record = restore_service(load_settings(), folder, on_copied)
     _print(record, folder, "morph serve", as_json=as_json)

@@ -68,7 +68,11 @@ def worker(
         processes = [worker_slot(first_slot + number, environment) for number in range(count)]
     else:
         processes = [
-            worker_slot(int(gpu), environment | {"CUDA_VISIBLE_DEVICES": gpu}) for gpu in chosen
+            worker_slot(
+                int(gpu) if gpu.isdecimal() else first_slot + place,
+                environment | {"CUDA_VISIBLE_DEVICES": gpu},
+            )
+            for place, gpu in enumerate(chosen)
         ]
     stop = StopSignals()
     supervise(processes, stop)

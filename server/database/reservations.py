@@ -12,23 +12,79 @@ import sqlalchemy as sa
 from chamfer_morph.server.database.tables import ReservationRow, now
 
 LIFETIME_SECONDS = 3600.0
-"""After this a reservation counts no more: its API was killed."""
+"""After this a reservation counts no more, unless it was renewed: its API was killed."""
 
 
 class Reservation:
-    """Room that is kept, or was refused.
+    """Room that is kept, or was refused. Calls block.
+
+    Args:
+        engine: The database.
+        one_at_a_time: Held while room is counted.
+        kind: What is counted.
+        owner: Name of the key.
+        adding: How many it wants to add.
+        limit: How many it may have, with those reserved.
+        count: Counts those it has.
 
     Attributes:
         there: How many there are without it, with what others have reserved.
         refused: Whether there is no room.
     """
 
-    def __init__(self, engine: sa.Engine, there: int, left: int, *, refused: bool) -> None:
+    def __init__(
+        self,
+        engine: sa.Engine,
+        one_at_a_time: threading.Lock,
+        kind: str,
+        owner: str,
+        adding: int,
+        limit: int,
+        count: Callable[[], int],
+    ) -> None:
         self._engine = engine
-        self.id: str = secrets.token_hex(16)
-        self.there: int = there
-        self.refused: bool = refused
-        self._left = left
+        self._one_at_a_time = one_at_a_time
+        self._id = secrets.token_hex(16)
+        self._kind = kind
+        self._owner = owner
+        self._left = adding
+        self._limit = limit
+        self._count = count
+        self.there: int = 0
+        self.refused: bool = False
+        self.renew()
+
+    def renew(self) -> None:
+        """Keep the room for a lifetime from now; where it has expired, others may have taken it."""
+        if not self._left or self.refused:
+            return
+        row = ReservationRow
+        same = (row.kind == self._kind) & (row.owner == self._owner)
+        reserved = sa.select(sa.func.coalesce(sa.func.sum(row.count), 0)).where(same)
+        expires_at = now() + round(LIFETIME_SECONDS * 1e6)
+        # who waits for the database's lock holds a connection, and the one who has it needs another
+        with self._one_at_a_time, self._engine.begin() as connection:
+            if connection.dialect.name == "postgresql":
+                lock = sa.func.hashtextextended(f"morph {self._kind} {self._owner}", 0)
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(lock)))
+            # SQLite locks at the first statement that writes
+            connection.execute(sa.delete(row).where(row.expires_at < now()))
+            longer = sa.update(row).where(row.id == self._id).values(expires_at=expires_at)
+            if connection.execute(longer).rowcount:
+                return
+            # what is stored between these two counts twice, which is better than not at all
+            self.there = int(connection.execute(reserved).scalar_one()) + self._count()
+            self.refused = self.there + self._left > self._limit
+            if not self.refused:
+                connection.execute(
+                    sa.insert(row).values(
+                        id=self._id,
+                        kind=self._kind,
+                        owner=self._owner,
+                        count=self._left,
+                        expires_at=expires_at,
+                    )
+                )
 
     def release_one(self) -> None:
         """One of what it is for is stored and counts by itself."""
@@ -42,7 +98,7 @@ class Reservation:
         if self.refused or left == self._left:
             return
         self._left = left
-        mine = ReservationRow.id == self.id
+        mine = ReservationRow.id == self._id
         change = sa.update(ReservationRow).values(count=left) if left else sa.delete(ReservationRow)
         with self._engine.begin() as connection:
             connection.execute(change.where(mine))
@@ -68,37 +124,10 @@ class Reservations:
             limit: How many it may have, with those reserved.
             count: Counts those it has.
         """
-        reservation = self._reserve(kind, owner, adding, limit, count)
+        reservation = Reservation(
+            self._engine, self._one_at_a_time, kind, owner, adding, limit, count
+        )
         try:
             yield reservation
         finally:
             reservation.release()
-
-    def _reserve(
-        self, kind: str, owner: str, adding: int, limit: int, count: Callable[[], int]
-    ) -> Reservation:
-        if not adding:
-            return Reservation(self._engine, 0, 0, refused=False)
-        mine = (ReservationRow.kind == kind) & (ReservationRow.owner == owner)
-        reserved = sa.select(sa.func.coalesce(sa.func.sum(ReservationRow.count), 0)).where(mine)
-        # who waits for the database's lock holds a connection, and the one who has it needs another
-        with self._one_at_a_time, self._engine.begin() as connection:
-            if connection.dialect.name == "postgresql":
-                lock = sa.func.hashtextextended(f"morph {kind} {owner}", 0)
-                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(lock)))
-            # SQLite locks at the first statement that writes
-            connection.execute(sa.delete(ReservationRow).where(ReservationRow.expires_at < now()))
-            # what is stored between these two counts twice, which is better than not at all
-            there = int(connection.execute(reserved).scalar_one()) + count()
-            reservation = Reservation(self._engine, there, adding, refused=there + adding > limit)
-            if not reservation.refused:
-                connection.execute(
-                    sa.insert(ReservationRow).values(
-                        id=reservation.id,
-                        kind=kind,
-                        owner=owner,
-                        count=adding,
-                        expires_at=now() + round(LIFETIME_SECONDS * 1e6),
-                    )
-                )
-        return reservation

@@ -23,7 +23,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class BodyLimitMiddleware:
-    """Refuses a body that is too large, or of which nothing comes for a while.
+    """Refuses a body that is too large, takes too long, or of which nothing comes for a while.
 
     FastAPI would wait for ever. Starlette's limit of the size would answer 413 in place of 401 to
     strangers.
@@ -31,6 +31,7 @@ class BodyLimitMiddleware:
     Args:
         app: The application.
         timeout_seconds: How long to wait for the next piece [s].
+        deadline_seconds: How long to wait for all of them [s].
         max_bytes: The limit [bytes].
         exceptions: The limit of the addresses that have another one [bytes].
     """
@@ -40,11 +41,13 @@ class BodyLimitMiddleware:
         app: ASGIApp,
         *,
         timeout_seconds: float,
+        deadline_seconds: float,
         max_bytes: int,
         exceptions: Mapping[str, int],
     ) -> None:
         self.app = app
         self.timeout_seconds = timeout_seconds
+        self.deadline_seconds = deadline_seconds
         self.max_bytes = max_bytes
         self.exceptions = exceptions
 
@@ -56,6 +59,7 @@ class BodyLimitMiddleware:
         max_bytes = self.exceptions.get(scope["path"], self.max_bytes)
         declared = int(Headers(scope=scope).get("content-length", 0))
         received, more_body = 0, True
+        deadline = anyio.current_time() + self.deadline_seconds
 
         async def receive_limited() -> Message:
             nonlocal received, more_body
@@ -63,13 +67,17 @@ class BodyLimitMiddleware:
                 return await receive()
             if declared > max_bytes:
                 raise too_large(max_bytes)
+            left = deadline - anyio.current_time()
             try:
-                with anyio.fail_after(self.timeout_seconds):
+                with anyio.fail_after(min(self.timeout_seconds, left)):
                     message = await receive()
             except TimeoutError:
+                late = left < self.timeout_seconds
                 raise ProblemError(
                     408,
-                    f"Nothing has come for {self.timeout_seconds:g} s.",
+                    f"Not all has come within {self.deadline_seconds:g} s."
+                    if late
+                    else f"Nothing has come for {self.timeout_seconds:g} s.",
                     "Send it again, over a steadier connection.",
                     headers={"Connection": "close"},
                 ) from None

@@ -14,7 +14,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from prometheus_client.core import CounterMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from prometheus_client.registry import Collector
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from chamfer_morph.schemas import Problem, WorkerStatus
@@ -22,7 +22,6 @@ from chamfer_morph.server.auth import require_metrics_key
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import is_disk_full, unavailable
 from chamfer_morph.server.routes.workers import worker_statuses
-from chamfer_morph.worker.storage import StoreUnavailableError
 
 router: APIRouter = APIRouter(tags=["health"])
 
@@ -37,6 +36,17 @@ class Health(BaseModel):
     """The service answers."""
 
     status: Literal["ok"] = "ok"
+
+
+class Readiness(BaseModel):
+    """The service takes requests."""
+
+    status: Literal["ok", "reading"] = Field(
+        "ok",
+        description="`reading`: jobs can be listed, shown and cancelled, and what needs files is "
+        "answered 503.",
+    )
+    detail: str | None = Field(None, description="What is away, if anything.")
 
 
 class StoredCounter(Collector):
@@ -184,20 +194,28 @@ async def livez() -> Health:
     return Health()
 
 
-@router.get("/readyz", operation_id="readyz", summary="Can it take requests?")
-def readyz(context: Context) -> Health:
-    """Answers once the database can be asked and the data directory has room."""
+@router.get(
+    "/readyz",
+    operation_id="readyz",
+    summary="Can it take requests?",
+    response_model_exclude_none=True,
+)
+def readyz(context: Context) -> Readiness:
+    """Answers once the database can be asked and the data directory has room.
+
+    Where the object store is away, it says so and is ready all the same, for reading.
+    """
     try:
         context.queue.ping()
         context.storage.probe()
     except Exception as error:
         if is_disk_full(error):
             raise unavailable("The disk of the service is full.") from error
-        if isinstance(error, StoreUnavailableError):
-            raise unavailable(error.cause) from error
         what = "The data directory" if isinstance(error, OSError) else "The database"
         raise unavailable(f"{what} cannot be used now.") from error
-    return Health()
+    if context.settings.object_store and (cause := context.store_watch.cause()):
+        return Readiness(status="reading", detail=cause)
+    return Readiness()
 
 
 @router.get(

@@ -291,7 +291,8 @@ def _submit(
     submission = prepare(body, caller, context)
     job_id = idempotent_id("job", caller, key) if key else new_id()
     known = bool(key) and context.queue.get(job_id) is not None
-    with nullcontext() if known else context.quotas.letting_in_jobs(caller.name):
+    letting_in = context.quotas.letting_in_jobs(caller.name, needed_bytes=submission.disk_bytes)
+    with nullcontext() if known else letting_in:
         record, new = submit(submission, job_id=job_id, caller=caller, context=context)
     return to_job(record, context), new
 
@@ -328,8 +329,9 @@ async def _receive_form(
     shapes = {role: {"mesh": upload.sha256} for role, upload in uploads.items()}
     job = validate(body | shapes, JobRequest)
     if uploads:
-        await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name, len(uploads)))
-        await store_uploads(list(uploads.values()), request, caller, context)
+        letting_in = context.quotas.letting_in_meshes(caller.name, len(uploads))
+        meshes = await enter_in_thread(stack, letting_in)
+        await store_uploads(list(uploads.values()), meshes, request, caller, context)
     return job
 
 

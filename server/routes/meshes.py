@@ -30,6 +30,7 @@ from chamfer_morph.server.http.uploads import (
     receive_form,
     save_upload,
 )
+from chamfer_morph.server.quotas import Incoming
 from morph_engine.geometry.mesh import FORMATS
 
 router: APIRouter = APIRouter(prefix="/meshes", tags=["meshes"], route_class=AuthenticatedRoute)
@@ -97,7 +98,7 @@ async def upload_mesh(
                 chunks, context.storage.uploads, name, context.settings.upload_bytes, incoming.add
             )
         )
-        (row, new), *_ = await store_uploads([upload], request, caller, context)
+        (row, new), *_ = await store_uploads([upload], incoming, request, caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"
     response.status_code = 201 if new else 200
     return await anyio.to_thread.run_sync(to_mesh, row, context)
@@ -172,15 +173,26 @@ def find_mesh(mesh_id: str, caller: Caller, context: ServerContext) -> tuple[Mes
 
 
 async def store_uploads(
-    uploads: list[Upload], request: Request, caller: Caller, context: ServerContext
+    uploads: list[Upload],
+    incoming: Incoming,
+    request: Request,
+    caller: Caller,
+    context: ServerContext,
 ) -> list[tuple[MeshRow, bool]]:
     """Inspect uploads, and store them if all can be used.
+
+    Args:
+        uploads: What has come.
+        incoming: As what it counts until then.
+        request: The request, whose end ends the inspection.
+        caller: Whose they are.
+        context: The service.
 
     Returns:
         Each upload, and whether its owner did not have it before.
 
     Raises:
-        ProblemError: 415, a name without the suffix of a mesh format.
+        ProblemError: 415, a name without the suffix of a mesh format; or a limit of the key.
         MorphError: One cannot be used.
     """
     reports: list[dict[str, Any] | None] = []
@@ -191,6 +203,7 @@ async def store_uploads(
             inspect = partial(context.sandbox.inspect_mesh, upload.path, upload.name)
             report = await context.inspections.get((upload.path,), inspect, request, caller.name)
         reports.append(report)
+    await anyio.to_thread.run_sync(incoming.keep_place)
     return [
         await anyio.to_thread.run_sync(_store, upload, report, caller, context)
         for upload, report in zip(uploads, reports, strict=True)

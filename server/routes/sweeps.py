@@ -130,7 +130,9 @@ def _submit(
         for index, submission in enumerate(submissions)
     }
     missing = jobs.keys() - context.queue.states(jobs)  # jobs may have been deleted since
-    with context.quotas.letting_in_jobs(caller.name, len(missing)) as queued:
+    needed = sum(jobs[job_id].disk_bytes for job_id in missing)
+    letting_in = context.quotas.letting_in_jobs(caller.name, len(missing), needed_bytes=needed)
+    with letting_in as queued:
         stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
         if stored.body != digest:
             raise idempotency_conflict()

@@ -65,9 +65,16 @@ class Cluster:
 
     def start(self, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
         """Start a process of the worker room."""
+        return self._start(["-m", "chamfer_morph.worker", *arguments], environment)
+
+    def program(self, code: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start a program with the settings of the cluster."""
+        return self._start(["-c", code, *arguments], {})
+
+    def _start(self, command: list[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
         with (self.settings.data_dir / "processes.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "chamfer_morph.worker", *arguments],
+                [sys.executable, *command],
                 env=self.environment | environment,
                 stderr=log,
             )
@@ -87,6 +94,7 @@ class Cluster:
         priority: int = 100,
         precision: str = "float32",
         source: Shape = SPHERE,
+        states_every: int = 0,
     ) -> str:
         """Queue a small job whose frames take a while."""
         settings = {"method": "joint", "sampling.points_per_cell_edge": 1, "frames": frames}
@@ -97,6 +105,7 @@ class Cluster:
             config=config,
             device="cpu",
             timeout_seconds=timeout,
+            states_every=states_every,
         )
         job_id = new_id()
         assert self.queue.enqueue(spec, job_id=job_id, owner=owner, priority=priority)

@@ -33,6 +33,8 @@ def test_machine_that_has_everything(tmp_path: Path) -> None:
     assert [*findings] == subjects
     assert {finding["verdict"] for finding in findings.values()} <= {"ok", "warning"}
     assert "taichi 1." in findings["software"]["text"]
+    assert " on " in findings["morph"]["text"]
+    assert any(name in findings["morph"]["text"] for name in backend.available_devices())
     assert not (tmp_path / "data").exists()
 
 
@@ -68,6 +70,18 @@ def test_machine_that_lacks_something(
     assert findings[subject]["verdict"] == "fault"
     assert words in findings[subject]["text"]
     assert findings[subject]["remedy"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes as of POSIX")
+def test_a_folder_that_others_may_read(tmp_path: Path) -> None:
+    """It is warned of, with the command that closes it; one that is closed is no news."""
+    settings = {"MORPH_DATA_DIR": str(tmp_path)}
+    for mode, warned in ((0o700, False), (0o750, True), (0o705, True)):
+        tmp_path.chmod(mode)
+        status, findings = run_doctor("--no-compute", **settings)
+        assert status == 0
+        assert ("privacy" in findings) is warned
+    assert findings["privacy"]["remedy"] == f"chmod 700 {tmp_path}"
 
 
 def test_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:

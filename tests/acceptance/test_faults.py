@@ -13,6 +13,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import psutil
+import psycopg
 import pytest
 
 from chamfer_morph.schemas import JobState
@@ -22,7 +23,7 @@ from chamfer_morph.worker.janitor import adopt_orphans
 from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.slots import executor_id
 from morph_engine.sections import GridConfig
-from tests.acceptance.conftest import FRAMES, Cluster
+from tests.acceptance.conftest import FRAMES, PATIENCE, Cluster
 
 pytestmark = [
     pytest.mark.faults,
@@ -483,8 +484,70 @@ def test_disk_of_database_and_data_full(new_cluster, small_disk, undisturbed):
     job = cluster.submit()
     cluster.wait_for_frame(job, 1)
     filling = fill_disk(small_disk)
-    assert worker.wait(60) == ExitCode.DISK_FULL
+    assert worker.wait(60) == ExitCode.DATABASE_REFUSES
     assert cluster.job(job).state is JobState.RUNNING
     filling.unlink()
     cluster.worker()
     cluster.require_sound(job, undisturbed, kills=2)
+
+
+REFUSING_ONCE = """
+import sys
+from pathlib import Path
+import psycopg, sqlite3
+import sqlalchemy as sa
+from chamfer_morph.worker.__main__ import main
+refused, error = Path(sys.argv.pop(1)), eval(sys.argv.pop(1))
+@sa.event.listens_for(sa.Engine, "do_execute")
+def refuse(cursor, statement, parameters, context):
+    values = parameters.values() if isinstance(parameters, dict) else parameters
+    if statement.startswith(("UPDATE", "WITH")) and "SUCCESS" in values and not refused.exists():
+        refused.touch()
+        raise error
+main()
+"""
+"""A worker to whom the database refuses the outcome of its job, the first time."""
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        "sqlite3.OperationalError('disk I/O error')",
+        "sqlite3.OperationalError('attempt to write a readonly database')",
+        "sqlite3.OperationalError('unable to open database file')",
+        "psycopg.errors.ReadOnlySqlTransaction('read-only')",
+    ],
+)
+def test_database_that_refuses_an_outcome(new_cluster, tmp_path, request, undisturbed, error):
+    """The worker ends, for nobody repeats it; started again, it reports what it has computed."""
+    on_postgres = error.startswith("psycopg")
+    cluster = new_cluster(request.getfixturevalue("own_postgres").url if on_postgres else "")
+    refused = tmp_path / "refused"
+    worker = cluster.program(REFUSING_ONCE, f"{refused}", error, "run")
+    job = cluster.submit()
+    assert worker.wait(PATIENCE) == ExitCode.DATABASE_REFUSES
+    assert refused.exists() and cluster.job(job).state is JobState.RUNNING
+    cluster.worker()
+    cluster.require_sound(job, undisturbed, kills=0)
+
+
+def test_database_that_becomes_read_only(new_cluster, own_postgres, undisturbed):
+    """The same for Postgres in the middle of a job; writable again, the job goes on."""
+    cluster = new_cluster(own_postgres.url)
+    worker = cluster.worker()
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 2)
+    set_read_only(own_postgres.url, "on")
+    assert worker.wait(PATIENCE) == ExitCode.DATABASE_REFUSES
+    set_read_only(own_postgres.url, "off")
+    assert cluster.job(job).state is JobState.RUNNING
+    cluster.worker()
+    cluster.require_sound(job, undisturbed, kills=2)
+
+
+def set_read_only(server: str, how: str) -> None:
+    """Let all databases of a server be read-only (`on`) or not (`off`)."""
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute("set default_transaction_read_only = off")
+        connection.execute(f"alter system set default_transaction_read_only = {how}")
+        connection.execute("select pg_reload_conf()")

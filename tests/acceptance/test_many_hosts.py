@@ -19,6 +19,7 @@ from chamfer_morph.schemas import JobState
 from tests.acceptance.conftest import FRAMES, Cluster
 from tests.integration.api.conftest import serving
 from tests.object_store import BUCKET, Link, s3_server
+from tests.patience import until
 
 pytestmark = pytest.mark.faults
 
@@ -229,6 +230,7 @@ def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link:
     with serving(host.settings.model_copy(update={"port": 0})) as api:
         job = near.submit()
         assert api.http.get("/v1/jobs").status_code == 200
+        until(lambda: api.http.get("/readyz").json() == {"status": "ok"})
         link.cut()
         (shown,) = api.http.get("/v1/jobs").json()["items"]
         assert shown["id"] == job and shown["state"] == "queued"
@@ -244,6 +246,11 @@ def test_the_api_while_the_store_is_away(new_host: Callable[..., Cluster], link:
             assert "cancelled" in next(lines)
         answer = api.http.get(f"/v1/jobs/{job}/frames/0")
         assert answer.status_code == 503 and "object store" in answer.json()["detail"]
+        until(lambda: api.http.get("/readyz").json()["status"] == "reading")
+        ready = api.http.get("/readyz")
+        assert ready.status_code == 200 and "object store" in ready.json()["detail"]
+        link.mend()
+        until(lambda: api.http.get("/readyz").json() == {"status": "ok"})
 
 
 @pytest.mark.parametrize("of", ["a frame", "the result"])

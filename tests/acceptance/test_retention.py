@@ -10,14 +10,16 @@ import pytest
 
 from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.dbos_adapter import database
-from chamfer_morph.worker.janitor import (
+from chamfer_morph.worker.janitor import delete_expired, delete_old
+from chamfer_morph.worker.retention import deletions as broken_off
+from chamfer_morph.worker.retention.abandoned_uploads import (
     ABANDONED_SECONDS,
     delete_abandoned_uploads,
-    delete_expired,
 )
 from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.webhooks.webhooks import Webhooks
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -103,3 +105,32 @@ def test_abandoned_uploads(tmp_path):
     os.utime(abandoned, (long_ago, long_ago))
     assert delete_abandoned_uploads(storage) == ["old.part"]
     assert list(storage.uploads.iterdir()) == [growing]
+
+
+def test_nothing_goes_for_its_age_while_the_clock_is_doubted(cluster, monkeypatch):
+    """Neither an upload nor what a deletion has left, which a right clock lets go."""
+    storage, queue = cluster.storage, cluster.queue
+    engine = database(cluster.settings)
+    sizes, deletions = JobSizes(engine, queue, storage), Deletions(engine, queue, storage)
+    job = cluster.submit()
+    storage.claim(job, 0)
+    monkeypatch.setattr(storage, "remove_job", stop)
+    with pytest.raises(SystemExit):
+        deletions.delete(job)
+    monkeypatch.undo()
+    upload = storage.uploads / "old.part"
+    upload.touch()
+    long_ago = time.time() - ABANDONED_SECONDS - 1
+    os.utime(upload, (long_ago, long_ago))
+    monkeypatch.setattr(broken_off.time, "time", lambda: long_ago + 3 * ABANDONED_SECONDS)
+    arguments = cluster.settings, queue, storage, sizes, deletions, Webhooks(engine)
+    delete_old(*arguments, steady=False)
+    assert upload.exists() and storage.job_dir(job).exists()
+    delete_old(*arguments, steady=True)
+    assert not upload.exists() and not storage.job_dir(job).exists()
+    engine.dispose()
+
+
+def stop(*_):
+    """In place of the end of a process."""
+    raise SystemExit

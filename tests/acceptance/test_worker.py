@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from chamfer_morph.schemas import BuiltInShape, JobState, MeshShape
 from chamfer_morph.server.failure_counts import FailureCounts
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.alarm import SETTLING_PAUSE_SECONDS, SETTLING_SECONDS
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.liveness import LIMIT_SECONDS
 from chamfer_morph.worker.slots import executor_id, janitor_id
+from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
 from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS, SPHERE
 
@@ -174,6 +178,26 @@ def test_failures_are_counted_by_kind(cluster):
     assert later.since_last_call() == counts.since_last_call() == {"input": 1}
 
 
+@pytest.mark.parametrize("log_format", ["text", "json"])
+def test_the_last_words_of_an_engine_name_no_folder(new_cluster, log_format):
+    """What it wrote last is quoted, without telling where programs and files lie."""
+    cluster = new_cluster("")
+    worker = cluster.worker(MORPH_ATTEMPTS="1")
+    job = cluster.submit()
+    cluster.wait_for_frame(job, 1)
+    engine, log = cluster.engine(worker), cluster.storage.job_dir(job) / "log.txt"
+    folders = sys.prefix, sys.base_prefix, str(Path.home()), str(cluster.settings.data_dir)
+    engine.suspend()
+    words = " ".join(f"{folder}/inner/file.so" for folder in folders) + ": broken"
+    with log.open("a") as file:
+        file.write((json.dumps({"message": words}) if log_format == "json" else words) + "\n")
+    engine.send_signal(signal.SIGABRT)
+    engine.resume()
+    problem = cluster.wait_for_state(job, JobState.FAILED).problem
+    assert problem.kind == "crash"
+    assert problem.cause.endswith("Its last words: " + " ".join(4 * ["inner/file.so"]) + ": broken")
+
+
 @POSTGRES_BY_FAULT_TESTS
 def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     """It fails once, with the cause; where it has more memory it goes on from its last frame."""
@@ -191,6 +215,24 @@ def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     cluster.wait_for_state(job, JobState.SUCCEEDED)
 
 
+@POSTGRES_BY_FAULT_TESTS
+def test_a_job_that_fills_too_much_disk_is_stopped(cluster):
+    """It fails once, with the cause, and keeps its frames; with more disk it goes on."""
+    tight = cluster.worker(MORPH_DISK_BYTES_PER_KEY=str(1_000_000))
+    job = cluster.submit(frames=10_000, states_every=1)
+    problem = cluster.wait_for_state(job, JobState.FAILED).problem
+    assert problem.kind == "resources"
+    assert "0.0 GB" in problem.cause and "MORPH_DISK_BYTES_PER_KEY" in problem.remedy
+    assert tight.poll() is None
+    kept = len(cluster.frames(job))
+    assert 0 < kept < 10_000
+    tight.terminate()
+    tight.wait(10)
+    cluster.worker()
+    cluster.queue.resume(job)
+    cluster.wait_for_frame(job, kept + 1)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="nothing else counts what a process takes")
 def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     """Not even between two looks of its worker: it fails with the cause, and has not had it."""
@@ -201,7 +243,7 @@ def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     config = configure("fast", settings | {"frames": 1})
     spec = JobSpec(source=SPHERE, target=star, config=config, device="cpu", timeout_seconds=600)
     (job_dir / "spec.json").write_text(spec.model_dump_json(), encoding="utf-8")
-    engine = Engine(1, tmp_path / "kept")
+    engine = Engine(1, Storage(tmp_path))
     engine.assign(job_dir, 1, 100_000_000)
     while not engine.ended:
         engine.beat()
@@ -210,6 +252,25 @@ def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
     assert engine.problem is not None and engine.problem.kind == "resources"
     assert "jobs may have 100 MB" in engine.problem.cause
     assert engine.peak_memory < 3e9, "which takes 5.8 GB without a limit"
+
+
+def test_an_engine_logs_as_its_service_does(tmp_path):
+    """Each line is JSON, with the ids of job and request, an exception that ends it included."""
+    storage = Storage(tmp_path)
+    job_dir = storage.job_dir("01JOB")
+    job_dir.mkdir()
+    (job_dir / "spec.json").write_text("{}")
+    token = service_log.request_id.set("click-1")
+    engine = Engine(1, storage, log_format="json", job_dir=job_dir)
+    engine.assign(job_dir, 1, 1 << 30)
+    service_log.request_id.reset(token)
+    while not engine.ended:
+        engine.beat()
+        time.sleep(0.1)
+    assert engine.wait() == 1
+    lines = [json.loads(line) for line in (job_dir / "log.txt").read_text().splitlines()]
+    assert lines and "ValidationError" in lines[-1]["error"]
+    assert {(line["job"], line["request"]) for line in lines} == {("01JOB", "click-1")}
 
 
 def test_a_paused_owner_waits(cluster):

@@ -11,10 +11,26 @@ def test_gpus_are_chosen_by_index():
     assert chosen_gpus("2,0,2") == ["2", "0"]
 
 
-def test_all_gpus_are_those_that_the_user_can_see(monkeypatch):
-    """As for any CUDA program."""
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1,3")
-    assert chosen_gpus("all") == ["1", "3"]
+@pytest.mark.parametrize(
+    ("visible", "chosen"),
+    [
+        ("1,3", ["1", "3"]),
+        ("GPU-8932f937,MIG-5c89", ["GPU-8932f937", "MIG-5c89"]),
+        ("2,-1,1", ["2"]),
+    ],
+)
+def test_all_gpus_are_those_that_the_user_can_see(monkeypatch, visible, chosen):
+    """As for any CUDA program, by index or UUID, up to one that is not there."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert chosen_gpus("all") == chosen
+
+
+@pytest.mark.parametrize("visible", ["", "-1", "NoDevFiles"])
+def test_a_user_who_can_see_no_gpu_gets_none(monkeypatch, visible):
+    """Not those of others; the message says why."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    with pytest.raises(DeviceError, match="CUDA_VISIBLE_DEVICES"):
+        chosen_gpus("all")
 
 
 @pytest.mark.parametrize("text", ["", "first", "0,", "-1"])

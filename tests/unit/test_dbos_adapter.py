@@ -191,3 +191,67 @@ def test_settings_of_sessions(postgres: str) -> None:
         }.items():
             assert connection.execute(sa.text(f"show {name}")).scalar_one() == value
     engine.dispose()
+
+
+class Refused(Exception):
+    """In place of the end of this process."""
+
+
+def end(status: int) -> None:
+    """In place of `os._exit`."""
+    raise Refused(status)
+
+
+def test_what_nobody_asks_for_again_ends_the_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A SQLite database that cannot be written, or is not there, and not one that is locked."""
+    monkeypatch.setattr(os, "_exit", end)
+    engine = dbos_adapter.database(Settings(_env_file=None, data_dir=tmp_path))
+    dbos_adapter.end_when_refused(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("create table t (x)")
+    with engine.connect() as one, engine.connect() as other:
+        other.exec_driver_sql("pragma busy_timeout = 0")
+        other.rollback()
+        one.exec_driver_sql("insert into t values (1)")
+        with pytest.raises(sa.exc.OperationalError, match="locked"):
+            other.exec_driver_sql("insert into t values (2)")
+    with engine.connect() as connection:
+        connection.exec_driver_sql("pragma query_only = on")
+        with pytest.raises(Refused):
+            connection.exec_driver_sql("insert into t values (3)")
+        connection.exec_driver_sql("pragma query_only = off")
+    engine.dispose()
+    nowhere = dbos_adapter.database(Settings(_env_file=None, data_dir=tmp_path / "nowhere"))
+    dbos_adapter.end_when_refused(nowhere)
+    with pytest.raises(Refused):
+        nowhere.connect()
+
+
+def test_contention_does_not_end_the_worker(
+    postgres: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of Postgres that another one has locked; a read-only database does."""
+    monkeypatch.setattr(os, "_exit", end)
+    engine = dbos_adapter.database(
+        Settings(_env_file=None, data_dir=tmp_path, database_url=postgres)
+    )
+    dbos_adapter.end_when_refused(engine)
+    table = f"t_{os.urandom(8).hex()}"
+    with engine.begin() as connection:
+        connection.exec_driver_sql(f"create table {table} as select 1 as x")
+    try:
+        query = f"select * from {table} for update nowait"
+        with engine.connect() as one, engine.connect() as other:
+            one.exec_driver_sql(query)
+            with pytest.raises(sa.exc.OperationalError, match="lock"):
+                other.exec_driver_sql(query)
+        with engine.connect() as connection:
+            connection.exec_driver_sql("set transaction read only")
+            with pytest.raises(Refused):
+                connection.exec_driver_sql(f"insert into {table} values (2)")
+    finally:
+        with engine.begin() as connection:
+            connection.exec_driver_sql(f"drop table {table}")
+        engine.dispose()

@@ -17,7 +17,7 @@ import yaml
 
 from chamfer_morph.server.__main__ import _parser as server_parser
 from chamfer_morph.worker.__main__ import _parser as worker_parser
-from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.settings import GIB, Settings
 from tests.web_server import running
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,6 +117,14 @@ def test_pods_are_selected_and_looked_after(role: str) -> None:
     assert "limits" in container(workload)["resources"]
 
 
+def test_a_job_fits_its_pod() -> None:
+    """With the worker itself and the process that is ready for the next job."""
+    (config,) = (each["data"] for each in MANIFESTS if each["kind"] == "ConfigMap")
+    limit = container(WORKLOADS["worker"])["resources"]["limits"]["memory"]
+    assert limit.endswith("Gi")
+    assert int(config["MORPH_JOB_MEMORY_BYTES"]) <= int(limit[:-2]) * GIB - GIB
+
+
 def test_only_the_api_is_reached() -> None:
     """The policy of all pods lets nobody in, and that of the API opens its port."""
     policies = {
@@ -150,6 +158,16 @@ def test_no_secret_is_in_a_file() -> None:
     assert "Secret" not in kinds
 
 
+def test_the_key_is_told_to_the_api_alone() -> None:
+    """Processes that run engines do not know it."""
+    for role, workload in WORKLOADS.items():
+        sources = container(workload)["envFrom"]
+        secrets = {each["secretRef"]["name"] for each in sources if "secretRef" in each}
+        assert secrets == {"morph", *(["morph-api"] if role == "api" else [])}
+    for name, service in OWN.items():
+        assert ("MORPH_ADMIN_KEY" in service["environment"]) is (name == "api")
+
+
 def test_the_services_of_compose_fit_together() -> None:
     """Each has a check of its own, and volumes and services that are named are there."""
     assert {*OWN} == {"api", "janitor", "worker"}
@@ -158,6 +176,15 @@ def test_the_services_of_compose_fit_together() -> None:
         assert service["read_only"] and service["cap_drop"] == ["ALL"]
         assert {*service["depends_on"]} <= {*COMPOSE["services"]}
         assert {volume.partition(":")[0] for volume in service["volumes"]} <= {*COMPOSE["volumes"]}
+
+
+def test_images_of_others_do_not_move() -> None:
+    """Whoever starts it names them by their digests; without, it is refused."""
+    assert re.findall(r"^ARG BASE(.*)$", DOCKERFILE, re.M) == [""]
+    assert {*re.findall(r"^FROM (\S+)", DOCKERFILE, re.M)} == {"$BASE"}
+    for service in OWN.values():
+        assert service["build"]["args"]["BASE"].startswith("${BASE:?")
+    assert COMPOSE["services"]["database"]["image"].startswith("${POSTGRES_IMAGE:?")
 
 
 def test_the_image_asks_the_port_that_the_service_has() -> None:

@@ -1,4 +1,4 @@
-"""Bodies that come slowly: what counts is the silence between two pieces."""
+"""Bodies that come slowly: the silence between two pieces counts, and the time of all of them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.http.request_body import BodyLimitMiddleware
 
 LIMIT_SECONDS = 3600.0
+DEADLINE_SECONDS = 10 * LIMIT_SECONDS
 
 
 class LeapingLoop(asyncio.SelectorEventLoop):
@@ -48,7 +49,13 @@ def upload(pieces: int, pause_seconds: float) -> bytes:
     async def send(message: Message) -> None:
         pass
 
-    limited = BodyLimitMiddleware(app, timeout_seconds=LIMIT_SECONDS, max_bytes=1000, exceptions={})
+    limited = BodyLimitMiddleware(
+        app,
+        timeout_seconds=LIMIT_SECONDS,
+        deadline_seconds=DEADLINE_SECONDS,
+        max_bytes=1000,
+        exceptions={},
+    )
     scope: Scope = {"type": "http", "method": "POST", "path": "/", "headers": []}
     loop = LeapingLoop()
     try:
@@ -59,7 +66,7 @@ def upload(pieces: int, pause_seconds: float) -> bytes:
 
 
 def test_slow_is_not_stalled() -> None:
-    """Pieces within the limit of each other are waited for, however long all of them take."""
+    """Pieces within the limit of each other are waited for, until the deadline."""
     assert upload(pieces=10, pause_seconds=LIMIT_SECONDS / 2) == b"#" * 10
 
 
@@ -68,3 +75,10 @@ def test_a_longer_silence_is_not_waited_for() -> None:
     with pytest.raises(ProblemError) as caught:
         upload(pieces=2, pause_seconds=2 * LIMIT_SECONDS)
     assert caught.value.status_code == 408
+
+
+def test_a_trickle_ends() -> None:
+    """What comes piece by piece, always in time, is answered 408 at the deadline."""
+    with pytest.raises(ProblemError) as caught:
+        upload(pieces=1000, pause_seconds=LIMIT_SECONDS / 2)
+    assert caught.value.status_code == 408 and "36000 s" in caught.value.detail

@@ -11,8 +11,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from chamfer_morph.worker.engines.engine import files_of_engine
 from chamfer_morph.worker.sandbox import landlock, runner
 from chamfer_morph.worker.sandbox.runner import Answer, Computation, CrashedError, Limits, Wording
+from chamfer_morph.worker.storage import Storage
 from morph_engine.child_process import python_command
 from morph_engine.errors import MeshError, ResourceError
 from tests.patience import PATIENCE
@@ -21,6 +23,7 @@ TASK = """
 import sys
 from collections.abc import Callable
 from chamfer_morph.worker.sandbox.runner import Answer
+from chamfer_morph.worker.storage import Storage
 from morph_engine.child_process import python_command
 from morph_engine.errors import MeshError
 def run(code: str, report_progress: Callable[[float], None]):
@@ -133,9 +136,82 @@ def test_a_module_is_run_offline(tmp_path: Path) -> None:
     (tmp_path / "python/program.py").write_text(
         "import sys\nif __name__ == '__main__':\n    print(sys.argv[1:])\n    sys.exit(3)\n"
     )
-    command = python_command("chamfer_morph.worker.sandbox.offline", "program", "a", "-b")
+    files = files_of_engine(Storage(tmp_path / "data"))
+    command = python_command("chamfer_morph.worker.sandbox.offline", files, "program", "a", "-b")
     outcome = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     assert (outcome.stdout.strip(), outcome.returncode) == ("['a', '-b']", 3)
+
+
+@pytest.mark.skipif(not landlock.version(), reason="This system has no Landlock.")
+@pytest.mark.skipif(any(Path("/dev").glob("nvidia*")), reason="CUDA needs files of the system.")
+def test_an_engine_has_the_files_of_jobs_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither the database nor what its worker knows; of other jobs, only until it has its own."""
+    storage = Storage(tmp_path / "data")
+    for variable, folder in (("TMPDIR", "temporary"), ("XDG_CACHE_HOME", "cache")):
+        (tmp_path / folder).mkdir()
+        monkeypatch.setenv(variable, str(tmp_path / folder))
+    own, other = storage.job_dir("own") / "log.txt", storage.job_dir("other") / "log.txt"
+    database, mesh = storage.root / "morph.sqlite", storage.root / "meshes/mesh.stl"
+    for path in (own, other, database, mesh):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("this")
+    (tmp_path / "python/program.py").write_text(ENGINE_PROBE)
+    folders = tmp_path / "temporary", tmp_path / "cache/taichi", storage.kept_results
+    written = [folder / "new" for folder in folders]
+    asked = [*map(str, (own, mesh, other, database, f"/proc/{os.getpid()}/environ", *written))]
+
+    def answers(job_dir: Path | None) -> str:
+        files = files_of_engine(storage, job_dir)
+        offline = python_command("chamfer_morph.worker.sandbox.offline", files, "program", *asked)
+        return subprocess.run(offline, stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
+
+    assert answers(None) == str([*3 * [True], *2 * [False], *3 * [True]])
+    assert answers(own.parent) == str([*2 * [True], *3 * [False], *3 * [True]])
+
+
+ENGINE_PROBE = """
+import sys
+def may(path, how):
+    try:
+        open(path, how).close()
+    except PermissionError:
+        return False
+    return True
+print([may(path, "w" if path.endswith("new") else "r") for path in sys.argv[1:]])
+"""
+
+
+AS_NOBODY = """
+import ctypes, os, sys
+from chamfer_morph.worker.private_process import keep_private
+if os.geteuid() == 0:  # whom the system keeps nothing from
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+    ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as any process begins that has not been root
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux knows such processes")
+@pytest.mark.parametrize(("call", "read"), [("", True), ("keep_private()", False)])
+def test_what_a_process_knows_is_private(call: str, read: bool) -> None:
+    """Another process of the same user, as an engine is, reads none of its environment."""
+    keep = f"{AS_NOBODY}{call}\nprint('ready', flush=True)\ninput()"
+    look = f"{AS_NOBODY}print(len(open(sys.argv[1]).read()))"
+    with subprocess.Popen(
+        [sys.executable, "-c", keep], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as keeper:
+        assert keeper.stdin and keeper.stdout
+        assert keeper.stdout.readline() == b"ready\n"
+        environment = f"/proc/{keeper.pid}/environ"
+        outcome = subprocess.run(
+            [sys.executable, "-c", look, environment], capture_output=True, text=True
+        )
+        keeper.stdin.close()
+    assert (outcome.returncode == 0) is read
+    assert ("Permission denied" in outcome.stderr) is not read
 
 
 @pytest.mark.skipif(not landlock.version(), reason="This system has no Landlock.")

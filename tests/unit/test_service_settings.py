@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.storage import Storage
-from tests.patience import PATIENCE
+from tests.patience import PATIENCE, until
 
 
 @pytest.mark.parametrize("command", [["server", "check"], ["worker", "run"], ["worker", "janitor"]])
@@ -61,3 +62,31 @@ def test_the_data_directory_is_for_its_owner_alone(tmp_path: Path) -> None:
     shared.mkdir()
     shared.chmod(0o750)
     assert Storage(shared).root.stat().st_mode & 0o777 == 0o750
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes as of POSIX")
+@pytest.mark.parametrize("command", [["server", "check"], ["worker", "janitor"]])
+def test_files_are_for_their_owner_alone(tmp_path: Path, command: list[str]) -> None:
+    """Also in a folder that others may look into, whatever the shell's umask is."""
+    data_dir = tmp_path / "data"
+    data_dir.mkdir()
+    data_dir.chmod(0o755)
+    own = {name: text for name, text in os.environ.items() if not name.startswith("MORPH_")}
+    module, *arguments = command
+    with subprocess.Popen(
+        [sys.executable, "-m", f"chamfer_morph.{module}", *arguments],
+        env=own | {"MORPH_DATA_DIR": str(data_dir)}, umask=0o022,
+    ) as process:  # fmt: skip
+        until(lambda: process.poll() is not None or (data_dir / "locks/clock").exists())
+        process.terminate()
+    made = [*data_dir.rglob("*")]
+    assert data_dir / "morph.sqlite" in made
+    assert [path for path in made if path.stat().st_mode & 0o077] == []
+
+
+def test_workers_share_the_memory_of_their_machine() -> None:
+    """Unless somebody has said what a job may have."""
+    alone = Settings(_env_file=None).memory_per_job
+    assert Settings(_env_file=None, workers=4).memory_per_job == alone // 4
+    assert Settings(_env_file=None, workers=0).memory_per_job == alone
+    assert Settings(_env_file=None, workers=4, job_memory_bytes=7).memory_per_job == 7

@@ -55,3 +55,16 @@ def test_a_restart_does_not_hide_a_jump(tmp_path: Path, monkeypatch: pytest.Monk
     for _ in range(2):
         assert not SteadyClock(tmp_path / "clock").is_steady()
         now.go_on(60)
+
+
+def test_a_machine_without_its_file_knows_the_last_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new one whose clock is nine days ahead, or behind, is doubted, too; another is not."""
+    now = Time(monkeypatch)
+    for number, (finished, steady) in enumerate(
+        [(now.wall - 3600, True), (now.wall - 9 * DAY, False), (now.wall + DAY, False)]
+    ):
+        clock = SteadyClock(tmp_path / f"clock{number}", lambda finished=finished: finished)
+        assert clock.is_steady() is steady
+    assert SteadyClock(tmp_path / "clock").is_steady()  # no job has finished yet

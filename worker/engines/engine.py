@@ -14,8 +14,11 @@ from typing import IO, Any
 import psutil
 
 from chamfer_morph.schemas import Outcome, Problem
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.heartbeat import HEARTBEAT, STOP
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.sandbox.landlock import list_of_fonts, user_cache
+from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.telemetry import EngineSpans
 from morph_engine.child_process import environment_without_secrets, python_command
 
@@ -25,7 +28,9 @@ class Engine:
 
     Args:
         threads: CPU threads that it computes with.
-        kept_results: Folder of what engines keep for later jobs.
+        storage: The files of the service.
+        log_format: How it logs, `text` or `json`.
+        job_dir: The directory of its job, where that is known; it sees no other then.
         method: Method that its job will probably have.
         extent: Half the cells along an axis of the grid that its job will probably have.
         log: Where it writes messages before it has a job; those of this process if not given.
@@ -43,8 +48,10 @@ class Engine:
     def __init__(
         self,
         threads: int,
-        kept_results: Path,
+        storage: Storage,
         *,
+        log_format: str = "text",
+        job_dir: Path | None = None,
         method: str | None = None,
         extent: int | None = None,
         log: IO[bytes] | None = None,
@@ -58,9 +65,14 @@ class Engine:
         self._device: str | None = None  # once it is ready
         self._spans: EngineSpans | None = None
         likely = json.dumps({"method": method, "extent": extent})
-        engine = ("chamfer_morph.worker.engine_process", str(threads), str(kept_results), likely)
+        engine = (str(threads), str(storage.kept_results), likely, log_format)
         self._process = subprocess.Popen(
-            python_command("chamfer_morph.worker.sandbox.offline", *engine),
+            python_command(
+                "chamfer_morph.worker.sandbox.offline",
+                files_of_engine(storage, job_dir),
+                "chamfer_morph.worker.engine_process",
+                *engine,
+            ),
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
             bufsize=0, start_new_session=True, env=environment_without_secrets(),
         )  # fmt: skip
@@ -98,6 +110,7 @@ class Engine:
             "attempt": attempt,
             "memory_bytes": memory_bytes,
             "traced": spans is not None,
+            "request": service_log.request_id.get(),
         }
         self._send(json.dumps(job).encode() + b"\n")
 
@@ -158,3 +171,15 @@ class Engine:
                 self.outcome = Outcome.model_validate(message["data"])
             case "failed":
                 self.problem = Problem.model_validate(message["data"])
+
+
+def files_of_engine(storage: Storage, job_dir: Path | None = None) -> str:
+    """What an engine process needs of the files, beside those of the program, for `offline`.
+
+    Args:
+        storage: The files of the service.
+        job_dir: The directory of its job; those of all jobs if that is not known yet.
+    """
+    kernels = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or user_cache() / "taichi"
+    writes = (job_dir or storage.root / "jobs", storage.kept_results, kernels, list_of_fonts())
+    return json.dumps({"reads": [f"{storage.root / 'meshes'}"], "writes": [*map(str, writes)]})

@@ -10,6 +10,7 @@ from pathlib import Path
 from chamfer_morph.worker.engines.engine import Engine
 from chamfer_morph.worker.job import JobSpec
 from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import Storage
 from morph_engine.machine_cores import usable_cores
 
 NEARLY_DONE = 0.9
@@ -30,13 +31,14 @@ class SpareEngine:
 
     Args:
         settings: Threads, and whether to keep a spare process at all.
-        kept_results: Folder of what engines keep for later jobs.
+        storage: The files of the service.
     """
 
-    def __init__(self, settings: Settings, kept_results: Path) -> None:
+    def __init__(self, settings: Settings, storage: Storage) -> None:
         self._kept = settings.warm_engines
         self._threads = threads_per_job(settings)
-        self._kept_results = kept_results
+        self._storage = storage
+        self._log_format = settings.log_format
         self._lock = threading.Lock()  # one thread keeps it, another takes it
         self._spare: Engine | None = None
         self._taken: Engine | None = None  # the last one that was
@@ -57,7 +59,8 @@ class SpareEngine:
             if not self._spare and not waited_for and time.monotonic() >= self._start_at:
                 self._spare = Engine(
                     self._threads,
-                    self._kept_results,
+                    self._storage,
+                    log_format=self._log_format,
                     method=self._method,
                     extent=taken.extent if taken else None,
                 )
@@ -71,7 +74,13 @@ class SpareEngine:
                 self._taken, self._spare = self._spare, None
             else:
                 with (job_dir / "log.txt").open("ab") as messages:
-                    self._taken = Engine(self._threads, self._kept_results, log=messages)
+                    self._taken = Engine(
+                        self._threads,
+                        self._storage,
+                        log_format=self._log_format,
+                        job_dir=job_dir,
+                        log=messages,
+                    )
             return self._taken
 
     def end(self) -> None:

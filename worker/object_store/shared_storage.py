@@ -58,9 +58,8 @@ class SharedStorage(Storage):
         """Directory of uploads in progress, of all processes of this host."""
         return self._uploads
 
-    def probe(self) -> None:
-        """As of `Storage`, and that the object store answers."""
-        super().probe()
+    def probe_store(self) -> None:
+        """As of `Storage`."""
         self._bucket.keys("probe/")
 
     def add_mesh(self, temporary: Path, sha256: str, suffix: str, report: dict[str, Any]) -> None:

@@ -94,6 +94,10 @@ class JobSizes:
         with self._engine.connect() as connection:
             return [(job, size) for job, size in connection.execute(query.limit(limit))]
 
+    def newest(self) -> float | None:
+        """When the job finished that was measured last, if there is one [s since 1970]."""
+        return self._newest() / 1000 or None
+
     def _sum(self, *conditions: sa.ColumnElement[bool]) -> int:
         query = sa.select(sa.func.coalesce(sa.func.sum(_TABLE.c.bytes), 0)).where(*conditions)
         with self._engine.connect() as connection:

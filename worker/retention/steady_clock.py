@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+
+from chamfer_morph.worker.retention.job_sizes import JobSizes
+from chamfer_morph.worker.settings import Settings
 
 JUMP_SECONDS = 600.0
 """Difference from the time that has passed which counts as a jump."""
@@ -21,11 +25,12 @@ class SteadyClock:
 
     Args:
         path: The file.
+        last_known: A time that has been, for a machine without the file [s since 1970].
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, last_known: Callable[[], float | None] = lambda: None) -> None:
         self._path = path
-        self._wall, self._passed = self._remembered(), time.monotonic()
+        self._wall, self._passed = self._remembered() or last_known(), time.monotonic()
         self._first_look = True
         self._doubted_until = 0.0
 
@@ -51,3 +56,8 @@ class SteadyClock:
             return float(self._path.read_text(encoding="ascii"))
         except (OSError, ValueError):
             return None
+
+
+def clock_of(settings: Settings, sizes: JobSizes) -> SteadyClock:
+    """The clock of this machine, which knows without its file when the last job has finished."""
+    return SteadyClock(settings.data_dir / "locks" / "clock", sizes.newest)

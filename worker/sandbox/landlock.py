@@ -46,7 +46,7 @@ SYSTEM = (
 
 DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 
-PRIORITY = "/proc/self/autogroup"
+PRIORITIES = ("/proc/self/autogroup", "/proc/self/oom_score_adj")
 
 
 class _Ruleset(ctypes.Structure):
@@ -90,7 +90,7 @@ def confine(reads: Iterable[Path], writes: Iterable[Path]) -> bool:
     ruleset = _create(known, files=handled, scoped=ABSTRACT_SOCKETS | SIGNALS)
     for path in (*_program(), *reads):
         _allow(ruleset, path, READING)
-    for path in (*map(Path, DEVICES), Path(PRIORITY), *writes):
+    for path in (*map(Path, (*DEVICES, *PRIORITIES)), *writes):
         _allow(ruleset, path, handled & ~EXECUTE)
     _restrict(ruleset)
     return True
@@ -113,15 +113,19 @@ def _program() -> list[Path]:
     """What this program is made of: Python, packages, libraries of the system, fonts."""
     home = Path(os.environ.get("HOME", "/"))
     libraries = os.environ.get("LD_LIBRARY_PATH", "").split(":")
-    fonts = [home / ".fonts", home / ".local/share/fonts", _list_of_fonts(home)]
+    fonts = [home / ".fonts", home / ".local/share/fonts", list_of_fonts()]
     python = [sys.base_prefix, sys.base_exec_prefix, *sysconfig.get_paths().values(), *sys.path]
     return [*map(Path, SYSTEM), *(Path(path) for path in (*libraries, *python) if path), *fonts]
 
 
-def _list_of_fonts(home: Path) -> Path:
+def user_cache() -> Path:
+    """The folder of what programs of this user keep and may lose."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME", "/")) / ".cache")
+
+
+def list_of_fonts() -> Path:
     """The folder where Matplotlib keeps which fonts there are, which takes seconds to find out."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return Path(os.environ.get("MPLCONFIGDIR") or cache / "matplotlib")
+    return Path(os.environ.get("MPLCONFIGDIR") or user_cache() / "matplotlib")
 
 
 def _create(known: int, *, files: int = 0, scoped: int = 0) -> int:

@@ -12,13 +12,14 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from chamfer_morph.server.database import reservations
 from chamfer_morph.server.database.tables import ReservationRow
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.janitor import delete_expired
 from chamfer_morph.worker.settings import Settings
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api.conftest import COARSE, MORPH, Api, ApiProcess
-from tests.patience import PATIENCE
+from tests.patience import PATIENCE, until
 
 
 def test_parallel_submits_stay_within_the_quota(
@@ -258,3 +259,70 @@ def test_particles_follow_the_grid(make_api: Callable[..., Api]) -> None:
     ):
         answer = api.http.post("/v1/jobs", json=MORPH | {"method": "joint", "overrides": settings})
         assert answer.status_code == 422 and cause in answer.json()["detail"], answer.text
+
+
+def test_a_job_that_the_disk_has_no_room_for_is_refused(make_api: Callable[..., Api]) -> None:
+    """At once, with what it needs: its frames count, and the states that it keeps."""
+    api = make_api(disk_bytes_per_key=100_000_000)
+    sweep = {"sources": [MORPH["source"]], "targets": [MORPH["target"]], "overrides": COARSE}
+    for path, body in (
+        ("/v1/jobs", MORPH | {"overrides": COARSE, "frames": 10_000}),
+        ("/v1/jobs", MORPH | {"overrides": COARSE, "frames": 300, "states_every": 1}),
+        ("/v1/sweeps", sweep | {"frames": 300, "seeds": [*range(20)]}),
+    ):
+        answer = api.http.post(path, json=body)
+        assert answer.status_code == 413, answer.text
+        assert "0.1 GB more" in answer.json()["detail"]
+        assert "states_every" in answer.json()["remedy"]
+    assert api.http.get("/v1/jobs").json()["items"] == []
+    api.submit(overrides=COARSE, frames=300)
+    api.submit(overrides=COARSE, frames=300, states_every=100)
+
+
+def test_a_fork_that_nobody_has_room_for_is_refused(
+    make_api: Callable[..., Api], run: RunRecord, tmp_path: Path
+) -> None:
+    """Memory and disk are asked for as for any job."""
+    first = make_api(data_dir=tmp_path / "data")
+    job = first.finished(run)
+    used = first.context.storage.job_bytes(job)
+    for settings, status, cause in (
+        ({"job_memory_bytes": 1_000_000}, 422, "jobs here may have 1 MB"),
+        ({"disk_bytes_per_key": used + 1000}, 413, "0.0 GB more"),
+    ):
+        api = make_api(data_dir=tmp_path / "data", **settings)
+        answer = api.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "states_every": 1})
+        assert answer.status_code == status and cause in answer.json()["detail"], answer.text
+        assert len(api.http.get("/v1/jobs").json()["items"]) == 1
+    fork = first.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "states_every": 1})
+    assert fork.status_code == 202, fork.text
+
+
+def test_an_upload_that_has_lost_its_place_is_counted_again(
+    make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch, cube: bytes
+) -> None:
+    """It comes slowly, its place expires, and another one takes the last: it is refused."""
+    api = make_api(meshes_per_key=1)
+    go_on = threading.Event()
+
+    def content() -> Iterator[bytes]:
+        yield cube
+        go_on.wait(PATIENCE)
+        yield b"#\n"
+
+    def upload(content: Iterator[bytes] | bytes) -> int:
+        query = {"name": "cube.obj"}
+        with httpx.Client(base_url=api.http.base_url, timeout=PATIENCE) as http:
+            return http.post("/v1/meshes", params=query, content=content).status_code
+
+    with ThreadPoolExecutor(1) as pool:
+        monkeypatch.setattr(reservations, "LIFETIME_SECONDS", -1)
+        slow = pool.submit(upload, content())
+        until(api.uploads)
+        monkeypatch.undo()
+        other = upload(cube)
+        go_on.set()
+        assert (other, slow.result()) == (201, 429)
+    (mesh,) = api.http.get("/v1/meshes").json()["items"]
+    assert api.http.delete(f"/v1/meshes/{mesh['id']}").is_success
+    assert upload(cube) == 201

@@ -5,17 +5,22 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import os
 import socket
 import threading
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import httpx
 import psutil
 import pytest
 
+from chamfer_morph.worker.retention.abandoned_uploads import ABANDONED_SECONDS
+from chamfer_morph.worker.storage import Storage
 from tests.integration.api.conftest import COARSE, MORPH, Api
 from tests.patience import PATIENCE, until
 
@@ -289,3 +294,15 @@ def _begin(
         f"Content-Length: {length}\r\n\r\n".encode()
     )
     return stream
+
+
+def test_an_api_deletes_what_others_have_left(make_api: Callable[..., Api], tmp_path: Path) -> None:
+    """Uploads of one that was killed go when it starts, with no janitor there; new ones stay."""
+    uploads = Storage(tmp_path / "data").uploads
+    abandoned, growing = uploads / "old.part", uploads / "new.part"
+    abandoned.touch()
+    growing.touch()
+    long_ago = time.time() - ABANDONED_SECONDS - 1
+    os.utime(abandoned, (long_ago, long_ago))
+    api = make_api(data_dir=tmp_path / "data")
+    until(lambda: api.uploads() == [growing], "the abandoned upload to go")
