@@ -7,8 +7,9 @@ import json
 import sys
 
 import bpy
+from pictures import picture
 
-PICTURE = 96
+ABOVE = (10, 20, 45)
 
 
 def main(extension, address):
@@ -30,6 +31,8 @@ def main(extension, address):
     preferences.address = address
     found["outcome"] = list(bpy.ops.chamfer_morph.morph())
     (result,) = (each for each in bpy.data.objects if each.name == "Ball to Cone")
+    for original in (ball, cone):
+        original.hide_render = True
     scene = bpy.context.scene
     ends = scene.frame_start, scene.frame_end
     found |= {
@@ -38,7 +41,7 @@ def main(extension, address):
         "cone": bounds(cone),
         "shapes": [bounds(result, frame) for frame in range(ends[0], ends[1] + 1)],
         "vertices": len(result.data.vertices),
-        "pictures": [picture(frame) for frame in ends],
+        "pictures": [picture(frame, ABOVE) for frame in ends],
     }
     sys.stdout.write(f"FOUND {json.dumps(found)}\n")
 
@@ -62,27 +65,6 @@ def bounds(shape, frame=None):
     seen = shape.evaluated_get(bpy.context.evaluated_depsgraph_get())
     vertices = [seen.matrix_world @ vertex.co for vertex in seen.to_mesh().vertices]
     return [[end(v[axis] for v in vertices) for axis in range(3)] for end in (min, max)]
-
-
-def picture(frame):
-    """Share of a rendered picture that the animated object covers."""
-    scene = bpy.context.scene
-    scene.frame_set(frame)
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples = 1
-    scene.render.resolution_x = scene.render.resolution_y = PICTURE
-    scene.render.film_transparent = True
-    if scene.camera is None:
-        camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-        camera.location = (10, 20, 45)  # cameras look down
-        scene.collection.objects.link(camera)
-        scene.camera = camera
-    for each in bpy.data.objects:
-        each.hide_render = each.name in ("Ball", "Cone")
-    scene.render.filepath = f"{bpy.app.tempdir}picture{frame}.png"
-    bpy.ops.render.render(write_still=True)
-    pixels = bpy.data.images.load(scene.render.filepath).pixels[:]
-    return sum(alpha > 0.5 for alpha in pixels[3::4]) / PICTURE**2
 
 
 main(*sys.argv[-2:])
