@@ -22,6 +22,7 @@ from morph_engine.errors import ConfigError, ExtraError
 from morph_engine.export import export
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.mesh_colors import nearest_colors
+from morph_engine.geometry.splats import HARMONIC
 from morph_engine.morphing import morph, prepare
 from morph_engine.presets import configure
 from morph_engine.rendering import pictures
@@ -172,6 +173,18 @@ def test_ply_and_glb_and_obj_have_the_colours(result, run, egg, tmp_path):
     assert np.array_equal(arrays["colors"][-1], run.colors[-1])
     points = trimesh.load(export(result, tmp_path / "points.ply", "ply", frames=[-1]))
     assert np.array_equal(points.colors[:, :3], run.colors[-1])
+
+
+@pytest.mark.parametrize("surface", [False, True])
+def test_splats_of_each_frame_have_its_colours(result, run, tmp_path, surface):
+    """From those of one shape to those of the other, in the sRGB that viewers of splats show."""
+    frames = (0, COUNT // 2, COUNT - 1)
+    folder = export(result, tmp_path / "all", "splat", frames=frames, surface=surface)
+    for snapshot in snapshots(run, surface=surface, frames=frames):
+        file = trimesh.load(folder / f"frame-{snapshot.frame:04d}.ply")
+        values = file.metadata["_ply_raw"]["vertex"]["data"]
+        shares = np.stack([values[f"f_dc_{i}"] for i in range(3)], axis=1) * HARMONIC + 0.5
+        np.testing.assert_allclose(255 * shares, snapshot.colors, atol=0.01)
 
 
 class Glb:
