@@ -5,6 +5,8 @@ Run in Blender by `test_addon.py` with the zip and the address of a service; pri
 
 import json
 import sys
+import time
+from types import SimpleNamespace
 
 import bpy
 from pictures import picture
@@ -22,7 +24,7 @@ def main(extension, address):
     settings = bpy.context.scene.chamfer_morph
     found = {"without target": bpy.ops.chamfer_morph.morph.poll()}
     settings.source, settings.target = ball, cone
-    settings.frames, settings.detail, settings.seconds = 3, 2, 0.5
+    settings.frames, settings.detail, settings.seconds = 8, 2, 0.5
     preferences.address = "http://127.0.0.1:9"
     try:
         bpy.ops.chamfer_morph.morph()
@@ -43,7 +45,52 @@ def main(extension, address):
         "vertices": len(result.data.vertices),
         "pictures": [picture(frame, ABOVE) for frame in ends],
     }
+    found |= pressed(name)
     sys.stdout.write(f"FOUND {json.dumps(found)}\n")
+
+
+def pressed(addon):
+    """What the button does: a morph that goes on while the window stays usable, twice.
+
+    Without a window Blender neither presses buttons nor lets timers tick: an operator like it does
+    the first, and events are told to it by hand.
+    """
+    operators = sys.modules[f"{addon}.operators"]
+    held = []
+
+    class Button(operators.MORPH_OT_morph):
+        bl_idname = "chamfer_morph.button"
+
+        def execute(self, context):
+            held.append(self)
+            return self.invoke(context, SimpleNamespace(type="LEFTMOUSE"))
+
+    bpy.utils.register_class(Button)
+    found = {
+        "pressed": list(bpy.ops.chamfer_morph.button()),
+        "again meanwhile": operators.MORPH_OT_morph.poll(bpy.context),
+        "mouse": list(told(held[-1], "MOUSEMOVE")),
+    }
+    ticked_to_the_end(held[-1])
+    bpy.ops.chamfer_morph.button()
+    found["stopped"] = [list(bpy.ops.chamfer_morph.stop()), ticked_to_the_end(held[-1])]
+    found["stop again"] = bpy.ops.chamfer_morph.stop.poll()
+    return found
+
+
+def told(operator, event):
+    """What an operator that goes on answers to an event."""
+    return operator.modal(bpy.context, SimpleNamespace(type=event))
+
+
+def ticked_to_the_end(operator):
+    """Answers of an operator to a timer, each once, until it has ended."""
+    answers = []
+    while not answers or "PASS_THROUGH" in answers[-1]:
+        answer = sorted(told(operator, "TIMER"))
+        answers += [answer] if answer not in answers else []
+        time.sleep(0.1)
+    return answers
 
 
 def a_ball_and_a_cone():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from tests.live_service import LiveService, free_port
 
 pytestmark = pytest.mark.blender
 
-ADDON = Path(__file__).resolve().parents[2] / "blender"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +33,28 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def found(service, folder):
+def extension():
+    """The zip that `make addon` has written."""
+    return Path(os.environ["MORPH_ADDON"])
+
+
+@pytest.fixture(scope="module")
+def found(extension, service, folder):
     """What `drive_addon.py` has found in Blender."""
-    extension = folder / "chamfer_morph.zip"
-    with zipfile.ZipFile(extension, "w") as file:
-        for path in (*ADDON.glob("*.py"), ADDON / "blender_manifest.toml"):
-            file.write(path, path.name)
     return found_in_blender("drive_addon.py", extension, service.url, folder=folder)
+
+
+def test_the_extension_is_valid(extension, tmp_path):
+    """Blender's own check has nothing against it, and it is what the folder has now."""
+    (tmp_path / "broken.zip").write_bytes(b"none")
+    zips = {extension: 0, tmp_path / "broken.zip": 1}
+    for path, status in zips.items():
+        found = found_in_blender("validate_addon.py", path, folder=tmp_path)
+        assert found["status"] == status
+    sources = [*(ROOT / "blender").glob("*.py"), ROOT / "blender" / "blender_manifest.toml"]
+    with zipfile.ZipFile(extension) as file:
+        packed = {name: file.read(name) for name in file.namelist()}
+    assert packed == {path.name: path.read_bytes() for path in sources}
 
 
 def test_two_objects_become_one_that_moves(found):
@@ -71,3 +87,17 @@ def test_what_is_missing_is_told(found):
     assert found["without target"] is False
     assert "No morph service answers at http://127.0.0.1:9" in found["without service"]
     assert "morph serve" in found["without service"]
+
+
+def test_the_button_leaves_the_window_usable(found):
+    """It returns at once, waits for its morph, and passes on what is not its own."""
+    assert found["pressed"] == ["RUNNING_MODAL"]
+    assert found["again meanwhile"] is False
+    assert found["mouse"] == ["PASS_THROUGH"]
+
+
+def test_it_can_be_stopped(found):
+    """By its own button, which waits for a morph again afterwards."""
+    ended, ticks = found["stopped"]
+    assert ended == ["FINISHED"] and ticks[-1] == ["CANCELLED"]
+    assert found["stop again"] is False
