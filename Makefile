@@ -86,8 +86,8 @@ $(BLENDER):
 	$(PYTHON) -m venv $(VENV)/blender
 	$(VENV)/blender/bin/python -m pip install --quiet --disable-pip-version-check bpy==4.2.0
 
-test-blender: install $(BLENDER)  ## add-on and point caches in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
-	MORPH_BLENDER=$(abspath $(BLENDER)) $(BIN)/python -m pytest -m blender
+test-blender: addon $(BLENDER)  ## add-on, animated GLB and point caches in Blender 4.2, which has to be fetched: 500 MB; Python 3.11
+	MORPH_BLENDER=$(abspath $(BLENDER)) MORPH_ADDON=$(abspath $(ADDON)) $(BIN)/python -m pytest -m blender
 
 image:  ## the container image `morph` on Debian's BASE, by docker or podman; IMAGE_OPTIONS are of their `build`
 	@test -n "$(BASE)" || { echo "Which base? make image BASE=debian@sha256:...; docs/operating.md tells how to find the digest."; exit 2; }

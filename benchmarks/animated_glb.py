@@ -1,4 +1,4 @@
-"""How large the animated GLB of a default job is: `python -m benchmarks.animated_glb`.
+"""How large the animated GLB of a default job is: `python -m benchmarks.animated_glb [--record]`.
 
 Three pairs with the default settings and 40 frames, one of which changes its topology; two minutes
 each. Needs node and the packages of the page (make page) for the Khronos validator. The exit status
@@ -7,6 +7,7 @@ is the number of bars that are missed.
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -14,11 +15,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks import history
 from benchmarks.record import machine
+from benchmarks.service.measurement import Measurement, counted, table
 
 PAIRS = (("sphere", "star"), ("heart", "teapot"), ("sphere", "torus"))
-MOST = 20e6
-"""Size of a file [bytes]."""
+FRAMES = 40
+MOST = 20.0
+"""Size of a file [MB]."""
 
 MODULES = Path(__file__).resolve().parents[1] / "server" / "web" / "node_modules"
 VALIDATE = """
@@ -28,30 +32,46 @@ validator.validateBytes(new Uint8Array(require("fs").readFileSync(process.argv[2
 """
 
 
-def main() -> None:
-    """Compute the pairs, print a row for each, and count what is missed."""
+def main() -> int:
+    """Compute the pairs and print what their files are like.
+
+    Returns:
+        Exit status: the number of figures on the wrong side of their limit.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.animated_glb", description=__doc__)
+    parser.add_argument("--record", action="store_true", help="add it to results/history.jsonl")
+    options = parser.parse_args()
     node = shutil.which("node") or sys.exit("There is no node.")
-    sys.stdout.write(f"{machine()}\n\npair             frames  vertices       MB  errors\n")
-    missed = 0
+    before = machine()
+    figures, errors, missing = [], 0, 0
     with tempfile.TemporaryDirectory() as folder:
         for source, target in PAIRS:
             path = _animated(Path(folder), source, target)
             frames, vertices = _targets(path)
-            size = path.stat().st_size
-            command = [node, "-e", VALIDATE, MODULES / "gltf-validator", path]
-            printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-            errors = json.loads(printed)["numErrors"]
-            counts = " + ".join(str(count) for count in vertices)
-            pair = f"{source} to {target}"
-            sys.stdout.write(f"{pair:15}  {frames:6}  {counts:13} {size / 1e6:5.1f}  {errors:6}\n")
-            missed += (size > MOST) + (errors > 0) + (frames != 40)
-    sys.exit(missed)
+            counts = " and ".join(f"{count} vertices" for count in vertices)
+            size = path.stat().st_size / 1e6
+            figures.append(Measurement(f"animated GLB, {path.stem}", size, MOST, "MB", counts))
+            errors += _errors(path, node)
+            missing += FRAMES - frames
+    figures.append(counted("animated GLB: errors of the Khronos validator", errors, 0))
+    figures.append(counted("animated GLB: missing frames", missing, 0))
+    if options.record:
+        history.record(figures)
+    print(f"{before}\n\n{table(figures)}")
+    return sum(figure.missed for figure in figures)
+
+
+def _errors(path: Path, node: str) -> int:
+    """Errors that the Khronos validator finds in a file."""
+    command = [node, "-e", VALIDATE, MODULES / "gltf-validator", path]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return int(json.loads(printed)["numErrors"])
 
 
 def _animated(folder: Path, source: str, target: str) -> Path:
     """The animated GLB of a default job."""
     morph = Path(sys.executable).with_name("morph")
-    result, path = folder / f"{source}-{target}.vtkhdf", folder / f"{source}-{target}.glb"
+    result, path = folder / f"{source} to {target}.vtkhdf", folder / f"{source} to {target}.glb"
     subprocess.run([morph, "run", source, target, "--out", result, "--quiet"], check=True)
     subprocess.run([morph, "export", result, "-o", path, "--tracked"], check=True)
     return path
@@ -73,4 +93,4 @@ def _targets(path: Path) -> tuple[int, list[int]]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

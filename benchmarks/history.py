@@ -1,9 +1,10 @@
 """What was measured until now, and what has become worse: `python -m benchmarks.history [--table]`.
 
-The commands `benchmarks` and `benchmarks.service` add what they measure, with `--record`, to
-`results/history.jsonl`, one document a line. Here each row's last number stands beside the median
-of those before it on the same machine; the exit status is the number of rows that are worse by a
-quarter or more. `--table` prints the table of docs/performance.md instead.
+The commands `benchmarks`, `benchmarks.service`, `benchmarks.animated_glb` and `benchmarks.web_page`
+add what they measure, with `--record`, to `results/history.jsonl`, one document a line. Here each
+row's last number stands beside the median of those before it on the same machine; the exit status
+is the number of rows that are worse by a quarter or more. `--table` prints the table of
+docs/performance.md instead.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def _stored(row: Row | Measurement) -> dict[str, Any]:
             "value": row.value,
             "unit": row.unit,
             "bar": row.limit,
-            "larger_is_better": False,
+            "larger_is_better": row.larger_is_better,
         }
     return {
         "what": row.what,

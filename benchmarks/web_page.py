@@ -1,4 +1,4 @@
-"""How soon the page is there and shows a large job: `python -m benchmarks.web_page`.
+"""How soon the page is there and shows a large job: `python -m benchmarks.web_page [--record]`.
 
 Needs chromium and the built page (make page). A job of 89k particles and 40 frames is computed
 first, which takes a minute; then the list of jobs and the job are opened in new browser profiles,
@@ -8,20 +8,23 @@ are counted.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import shutil
 import sys
 import tempfile
 import time
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from statistics import median
 
 import psutil
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
+from benchmarks import history
 from benchmarks.record import machine
+from benchmarks.service.measurement import Measurement, least, table
 from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
 
@@ -58,7 +61,18 @@ SETTLED = 1500
 """After this long [ms] a scene is drawn in full."""
 
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-BARS = (2.0, 1.0, 5.0, 400.0)
+OPENED = (
+    ("page: list of jobs", 2.0, "s"),
+    ("page, 89k particles: first frame drawn", 1.0, "s"),
+    ("page, 89k particles: all frames there", 5.0, "s"),
+    ("page, 89k particles: memory", 400.0, "MB"),
+)
+"""Name, bar and unit of each number of an `Opening`."""
+
+TURNED = {
+    "points": "page, 38k particles turned while they play",
+    "surface": "page, their surface turned while it plays",
+}
 LEAST_RATE = 10.0
 """Pictures a second where no GPU draws them."""
 
@@ -163,11 +177,15 @@ def main() -> int:
     """Measure and print.
 
     Returns:
-        Exit status: the number of figures above their bar.
+        Exit status: the number of figures on the wrong side of their bar.
     """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.web_page", description=__doc__)
+    parser.add_argument("--record", action="store_true", help="add it to results/history.jsonl")
+    options = parser.parse_args()
     chromium = os.environ.get("MORPH_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
         sys.exit("There is no chromium. Install it, or name it in MORPH_CHROMIUM.")
+    before = machine()
     with (
         tempfile.TemporaryDirectory() as data,
         serving(Path(data)) as server,
@@ -183,24 +201,27 @@ def main() -> int:
             sys.stderr.write("\n")
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         rounds = [opening(browser, server, job.id) for _ in range(ROUNDS)]
-        rates = {
-            shape: pictures_per_second(browser, server, usual.id, shape)
-            for shape in ("points", "surface")
-        }
+        rates = {shape: pictures_per_second(browser, server, usual.id, shape) for shape in TURNED}
         browser.close()
-    print(f"{machine()}, {ROUNDS} openings, drawn in software\n")
-    above = 0
-    for field, bar, values in zip(
-        fields(Opening), BARS, zip(*map(astuple, rounds), strict=True), strict=True
+        triangles = triangle_count(client.surface(usual.id, format="stl"))
+    figures = []
+    for (what, bar, unit), seen in zip(
+        OPENED, zip(*map(astuple, rounds), strict=True), strict=True
     ):
-        least, middle, most = min(values), median(values), max(values)
-        above += middle > bar
-        unit = "MB" if field.name == "memory" else "s"
-        print(f"{field.name:8} {least:7.2f} {middle:7.2f} {most:7.2f} {unit:3} bar {bar:g}")
+        note = f"{min(seen):.2f} to {max(seen):.2f} {unit} in {ROUNDS} openings"
+        figures.append(Measurement(what, median(seen), bar, unit, note))
     for shape, rate in rates.items():
-        above += rate < LEAST_RATE
-        print(f"{shape:8} {rate:15.1f} pictures/s, at least {LEAST_RATE:g}")
-    return above
+        note = f"{triangles} triangles at the end" if shape == "surface" else ""
+        figures.append(least(TURNED[shape], rate, LEAST_RATE, "pictures/s", note))
+    if options.record:
+        history.record(figures, drawn="in software", triangles=str(triangles))
+    print(f"{before}, drawn in software\n\n{table(figures)}")
+    return sum(figure.missed for figure in figures)
+
+
+def triangle_count(stl: bytes) -> int:
+    """Triangles of a binary STL file."""
+    return int.from_bytes(stl[80:84], "little")
 
 
 if __name__ == "__main__":

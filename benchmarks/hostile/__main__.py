@@ -34,7 +34,7 @@ def main() -> int:
         figures = trial.measure(service, options.count or trial.COUNT)
         database = "Postgres" if options.database else "SQLite"
         print(f"{machine()}, {database}\n\n{table(figures)}", flush=True)
-    return sum(figure.verdict == "ABOVE" for figure in figures)
+    return sum(figure.missed for figure in figures)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def main() -> int:
         sys.stdout.write(document([asdict(figure) for figure in figures], database=database))
     else:
         print(f"{machine()}, {database}\n\n{table(figures)}")
-    return sum(figure.verdict == "ABOVE" for figure in figures)
+    return sum(figure.missed for figure in figures)
 
 
 if __name__ == "__main__":

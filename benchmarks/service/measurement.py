@@ -19,10 +19,11 @@ class Measurement:
     Attributes:
         what: What was measured.
         value: The measurement.
-        limit: The most it may be; None for a figure that only informs.
+        limit: The most it may be, or the least; None for a figure that only informs.
         unit: Unit of both.
         note: Conditions.
         inclusive: Whether the limit itself is allowed.
+        larger_is_better: Whether the limit is the least.
     """
 
     what: str
@@ -31,19 +32,33 @@ class Measurement:
     unit: str
     note: str = ""
     inclusive: bool = False
+    larger_is_better: bool = False
 
     @property
-    def verdict(self) -> Literal["within", "ABOVE", "info"]:
+    def verdict(self) -> Literal["within", "ABOVE", "BELOW", "info"]:
         """Where the measurement stands against the limit."""
         if self.limit is None:
             return "info"
-        reached = self.inclusive and self.value == self.limit
-        return "within" if self.value < self.limit or reached else "ABOVE"
+        if self.inclusive and self.value == self.limit:
+            return "within"
+        if self.larger_is_better:
+            return "within" if self.value > self.limit else "BELOW"
+        return "within" if self.value < self.limit else "ABOVE"
+
+    @property
+    def missed(self) -> bool:
+        """Whether it is on the wrong side of its limit."""
+        return self.verdict in ("ABOVE", "BELOW")
 
 
 def counted(what: str, count: int, allowed: int, note: str = "") -> Measurement:
     """A number of things, at most so many."""
     return Measurement(what, count, allowed, "", note, inclusive=True)
+
+
+def least(what: str, value: float, limit: float, unit: str, note: str = "") -> Measurement:
+    """What should be so much at least."""
+    return Measurement(what, value, limit, unit, note, inclusive=True, larger_is_better=True)
 
 
 def percentile(values: Sequence[float], percent: int) -> float:

@@ -5,10 +5,13 @@ Run in Blender by `test_addon.py` with the zip and the address of a service; pri
 
 import json
 import sys
+import time
+from types import SimpleNamespace
 
 import bpy
+from pictures import picture
 
-PICTURE = 96
+ABOVE = (10, 20, 45)
 
 
 def main(extension, address):
@@ -21,7 +24,7 @@ def main(extension, address):
     settings = bpy.context.scene.chamfer_morph
     found = {"without target": bpy.ops.chamfer_morph.morph.poll()}
     settings.source, settings.target = ball, cone
-    settings.frames, settings.detail, settings.seconds = 3, 2, 0.5
+    settings.frames, settings.detail, settings.seconds = 8, 2, 0.5
     preferences.address = "http://127.0.0.1:9"
     try:
         bpy.ops.chamfer_morph.morph()
@@ -30,6 +33,8 @@ def main(extension, address):
     preferences.address = address
     found["outcome"] = list(bpy.ops.chamfer_morph.morph())
     (result,) = (each for each in bpy.data.objects if each.name == "Ball to Cone")
+    for original in (ball, cone):
+        original.hide_render = True
     scene = bpy.context.scene
     ends = scene.frame_start, scene.frame_end
     found |= {
@@ -38,9 +43,54 @@ def main(extension, address):
         "cone": bounds(cone),
         "shapes": [bounds(result, frame) for frame in range(ends[0], ends[1] + 1)],
         "vertices": len(result.data.vertices),
-        "pictures": [picture(frame) for frame in ends],
+        "pictures": [picture(frame, ABOVE) for frame in ends],
     }
+    found |= pressed(name)
     sys.stdout.write(f"FOUND {json.dumps(found)}\n")
+
+
+def pressed(addon):
+    """What the button does: a morph that goes on while the window stays usable, twice.
+
+    Without a window Blender neither presses buttons nor lets timers tick: an operator like it does
+    the first, and events are told to it by hand.
+    """
+    operators = sys.modules[f"{addon}.operators"]
+    held = []
+
+    class Button(operators.MORPH_OT_morph):
+        bl_idname = "chamfer_morph.button"
+
+        def execute(self, context):
+            held.append(self)
+            return self.invoke(context, SimpleNamespace(type="LEFTMOUSE"))
+
+    bpy.utils.register_class(Button)
+    found = {
+        "pressed": list(bpy.ops.chamfer_morph.button()),
+        "again meanwhile": operators.MORPH_OT_morph.poll(bpy.context),
+        "mouse": list(told(held[-1], "MOUSEMOVE")),
+    }
+    ticked_to_the_end(held[-1])
+    bpy.ops.chamfer_morph.button()
+    found["stopped"] = [list(bpy.ops.chamfer_morph.stop()), ticked_to_the_end(held[-1])]
+    found["stop again"] = bpy.ops.chamfer_morph.stop.poll()
+    return found
+
+
+def told(operator, event):
+    """What an operator that goes on answers to an event."""
+    return operator.modal(bpy.context, SimpleNamespace(type=event))
+
+
+def ticked_to_the_end(operator):
+    """Answers of an operator to a timer, each once, until it has ended."""
+    answers = []
+    while not answers or "PASS_THROUGH" in answers[-1]:
+        answer = sorted(told(operator, "TIMER"))
+        answers += [answer] if answer not in answers else []
+        time.sleep(0.1)
+    return answers
 
 
 def a_ball_and_a_cone():
@@ -62,27 +112,6 @@ def bounds(shape, frame=None):
     seen = shape.evaluated_get(bpy.context.evaluated_depsgraph_get())
     vertices = [seen.matrix_world @ vertex.co for vertex in seen.to_mesh().vertices]
     return [[end(v[axis] for v in vertices) for axis in range(3)] for end in (min, max)]
-
-
-def picture(frame):
-    """Share of a rendered picture that the animated object covers."""
-    scene = bpy.context.scene
-    scene.frame_set(frame)
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples = 1
-    scene.render.resolution_x = scene.render.resolution_y = PICTURE
-    scene.render.film_transparent = True
-    if scene.camera is None:
-        camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-        camera.location = (10, 20, 45)  # cameras look down
-        scene.collection.objects.link(camera)
-        scene.camera = camera
-    for each in bpy.data.objects:
-        each.hide_render = each.name in ("Ball", "Cone")
-    scene.render.filepath = f"{bpy.app.tempdir}picture{frame}.png"
-    bpy.ops.render.render(write_still=True)
-    pixels = bpy.data.images.load(scene.render.filepath).pixels[:]
-    return sum(alpha > 0.5 for alpha in pixels[3::4]) / PICTURE**2
 
 
 main(*sys.argv[-2:])

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.blender.in_blender import covered, found_in_blender
 from tests.live_service import LiveService, free_port
 
 pytestmark = pytest.mark.blender
 
 ROOT = Path(__file__).resolve().parents[2]
-ADDON = ROOT / "blender"
-DRIVER = Path(__file__).with_name("drive_addon.py")
 
 
 @pytest.fixture(scope="module")
@@ -30,21 +27,34 @@ def service(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def found(service, tmp_path_factory):
+def folder(tmp_path_factory):
+    """Where Blender works."""
+    return tmp_path_factory.mktemp("blender")
+
+
+@pytest.fixture(scope="module")
+def extension():
+    """The zip that `make addon` has written."""
+    return Path(os.environ["MORPH_ADDON"])
+
+
+@pytest.fixture(scope="module")
+def found(extension, service, folder):
     """What `drive_addon.py` has found in Blender."""
-    folder = tmp_path_factory.mktemp("blender")
-    extension = folder / "chamfer_morph.zip"
-    with zipfile.ZipFile(extension, "w") as file:
-        for path in (*ADDON.glob("*.py"), ADDON / "blender_manifest.toml"):
-            file.write(path, path.name)
-    outcome = subprocess.run(
-        [os.environ["MORPH_BLENDER"], DRIVER, extension, service.url],
-        env=os.environ | {"BLENDER_USER_RESOURCES": str(folder)},
-        cwd=folder, capture_output=True, text=True, timeout=900,
-    )  # fmt: skip
-    lines = [line for line in outcome.stdout.splitlines() if line.startswith("FOUND ")]
-    assert lines, outcome.stdout[-2000:] + outcome.stderr[-2000:]
-    return json.loads(lines[0].removeprefix("FOUND "))
+    return found_in_blender("drive_addon.py", extension, service.url, folder=folder)
+
+
+def test_the_extension_is_valid(extension, tmp_path):
+    """Blender's own check has nothing against it, and it is what the folder has now."""
+    (tmp_path / "broken.zip").write_bytes(b"none")
+    zips = {extension: 0, tmp_path / "broken.zip": 1}
+    for path, status in zips.items():
+        found = found_in_blender("validate_addon.py", path, folder=tmp_path)
+        assert found["status"] == status
+    sources = [*(ROOT / "blender").glob("*.py"), ROOT / "blender" / "blender_manifest.toml"]
+    with zipfile.ZipFile(extension) as file:
+        packed = {name: file.read(name) for name in file.namelist()}
+    assert packed == {path.name: path.read_bytes() for path in sources}
 
 
 def test_two_objects_become_one_that_moves(found):
@@ -66,10 +76,10 @@ def test_it_ends_where_the_target_is(found):
     assert steps.sum() > 0.5 and steps.max() < 0.5
 
 
-def test_it_is_rendered(found):
+def test_it_is_rendered(found, folder):
     """The object is in the picture at both ends, and another one."""
-    first, last = found["pictures"]
-    assert first > 0.005 and last > 0.005 and first != last
+    first, last = (covered(folder / name) for name in found["pictures"])
+    assert first.mean() > 0.005 and last.mean() > 0.005 and (first != last).any()
 
 
 def test_what_is_missing_is_told(found):
@@ -77,3 +87,17 @@ def test_what_is_missing_is_told(found):
     assert found["without target"] is False
     assert "No morph service answers at http://127.0.0.1:9" in found["without service"]
     assert "morph serve" in found["without service"]
+
+
+def test_the_button_leaves_the_window_usable(found):
+    """It returns at once, waits for its morph, and passes on what is not its own."""
+    assert found["pressed"] == ["RUNNING_MODAL"]
+    assert found["again meanwhile"] is False
+    assert found["mouse"] == ["PASS_THROUGH"]
+
+
+def test_it_can_be_stopped(found):
+    """By its own button, which waits for a morph again afterwards."""
+    ended, ticks = found["stopped"]
+    assert ended == ["FINISHED"] and ticks[-1] == ["CANCELLED"]
+    assert found["stop again"] is False

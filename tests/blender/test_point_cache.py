@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +13,9 @@ from morph_engine.presets import configure
 from morph_engine.results.selection import Selection
 from morph_engine.results.tracked_surface import track_surface
 from morph_engine.results.trajectory import Trajectory
+from tests.blender.in_blender import found_in_blender
 
 pytestmark = pytest.mark.blender
-
-SCRIPT = Path(__file__).with_name("read_point_cache.py")
 
 
 def test_a_cache_moves_the_mesh_in_blender(tmp_path):
@@ -31,15 +26,10 @@ def test_a_cache_moves_the_mesh_in_blender(tmp_path):
         pass
     with zipfile.ZipFile(export(result, tmp_path / "run.zip", "pc2", tracked=True)) as archive:
         archive.extractall(tmp_path)
-    arguments = [tmp_path / "surface.obj", tmp_path / "surface.pc2", "0", "1", "3"]
-    outcome = subprocess.run(
-        [os.environ["MORPH_BLENDER"], SCRIPT, *arguments],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    lines = [line for line in outcome.stdout.splitlines() if line.startswith("FOUND ")]
-    assert lines, outcome.stdout[-2000:] + outcome.stderr[-2000:]
+    cache = tmp_path / "surface.obj", tmp_path / "surface.pc2"
+    found = found_in_blender("read_point_cache.py", *cache, 0, 1, 3, folder=tmp_path)
     with Trajectory(result) as run:
         selection = Selection(run, tuple(range(4)), surface=True, tracked=True, units="user")
         (mesh,) = track_surface(selection).meshes
-    for frame, places in json.loads(lines[0].removeprefix("FOUND ")).items():
+    for frame, places in found.items():
         np.testing.assert_allclose(places, mesh.vertices[int(frame)], atol=1e-4)

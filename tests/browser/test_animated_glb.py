@@ -6,7 +6,6 @@ import io
 import json
 import shutil
 import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,21 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from morph_engine.export import export
-from morph_engine.results.selection import Selection
-from morph_engine.results.tracked_surface import track_surface
-from morph_engine.results.trajectory import Trajectory
+from tests.animated_pair import FPS, FRAMES, PAIRS, AnimatedPair
 
 pytestmark = pytest.mark.browser
 
 MODULES = Path(__file__).resolve().parents[2] / "server" / "web" / "node_modules"
-MORPH = Path(sys.executable).with_name("morph")
 SITE = "http://gltf.test/"
-
-FRAMES = 12
-FPS = 10
-PAIRS = {"sphere-star": False, "heart-teapot": False, "sphere-torus": True}
-"""Whether the mesh has to change, as no mesh is both a ball and a ring."""
 
 VALIDATE = """
 const validator = require(process.argv[1]);
@@ -78,24 +68,13 @@ window.ready = true;
 
 @pytest.fixture(scope="module", params=PAIRS)
 def moving(request, tmp_path_factory):
-    """A pair, its result, the animated GLB of it, and its tracked surface in the user's units."""
-    folder = tmp_path_factory.mktemp("pair")
-    result, path = folder / "result.vtkhdf", folder / "morph.glb"
-    source, target = request.param.split("-")
-    coarse = ["--frames", str(FRAMES), "--points-per-cell-edge", "1", "--quiet"]
-    subprocess.run([MORPH, "run", source, target, "--out", result, *coarse], check=True)
-    export(result, path, "glb", tracked=True, fps=FPS)
-    with Trajectory(result) as trajectory:
-        surface = track_surface(
-            Selection(trajectory, tuple(range(FRAMES)), surface=True, tracked=True)
-        )
-    return request.param, path, surface
+    """A pair as an animated GLB."""
+    return AnimatedPair.computed(request.param, tmp_path_factory.mktemp("pair"))
 
 
 def test_the_khronos_validator_finds_nothing(moving):
     """No error, no warning, not even a hint."""
-    _, path, _ = moving
-    issues = validated(path)
+    issues = validated(moving.path)
     assert issues["messages"] == []
     assert issues["numErrors"] == 0
 
@@ -114,19 +93,18 @@ def validated(path):
 
 def test_three_plays_it(moving, browser):
     """Every frame is where the user's files have it, by one mesh at a time, and can be seen."""
-    pair, path, surface = moving
-    assert (surface.changes_at is not None) == PAIRS[pair]
-    with playing(browser, path) as page:
-        _check_frames(page, surface)
+    assert (moving.surface.changes_at is not None) == moving.changes
+    with playing(browser, moving.path) as page:
+        _check_frames(page, moving)
 
 
-def _check_frames(page, surface):
+def _check_frames(page, moving):
     for frame in range(FRAMES):
         # the second mesh is there from its first moment on
         shown = page.evaluate(f"shown({frame / FPS + 1e-4})")
         assert shown["duration"] == pytest.approx((FRAMES - 1) / FPS)
         (mesh,) = shown["meshes"]
-        expected = next(one for one in reversed(surface.meshes) if frame in one.frames)
+        expected = moving.shown(frame)
         place = expected.vertices[expected.frames.index(frame)]
         # a thousandth of the way to the next frame is on top of the 16 bits of a position
         tolerance = 2e-3 * np.abs(np.diff(expected.vertices, axis=0)).max() + 1e-3

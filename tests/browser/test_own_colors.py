@@ -14,7 +14,8 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 from morph_engine.export import export
-from tests.browser.test_animated_glb import FPS, playing, validated
+from tests.animated_pair import FPS
+from tests.browser.test_animated_glb import playing, validated
 from tests.browser.test_job_view import (
     COMPILING,
     PATIENCE,

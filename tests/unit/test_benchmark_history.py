@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import history
 from benchmarks.comparison import limit, speedup
-from benchmarks.service.measurement import Measurement
+from benchmarks.service.measurement import Measurement, least
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 
@@ -30,6 +30,18 @@ def test_rows_without_a_number_are_left_out(tmp_path: Path) -> None:
     file = tmp_path / "history.jsonl"
     history.record([limit("a", float("nan"), "s", 1.0, 0.5), limit("b", 0.5, "s", 1.0, 0.5)], file)
     assert [*history.entries(file.read_text().splitlines())] == ["b"]
+
+
+def test_a_rate_should_not_fall(tmp_path: Path) -> None:
+    """Its limit is the least that it may be, and half of it is twice as bad."""
+    assert not least("pictures", 10.0, 10.0, "1/s").missed
+    assert least("pictures", 9.9, 10.0, "1/s").missed
+    file = tmp_path / "history.jsonl"
+    for rate in (12.0, 6.0):
+        history.record([least("pictures", rate, 10.0, "1/s")], file)
+    found = history.entries(file.read_text().splitlines())
+    assert history.change(found["pictures"]) == pytest.approx(2.0)
+    assert "| pictures | 6 1/s | ≥ 10 |" in history.table(found)
 
 
 def test_the_documented_numbers_are_the_last_ones() -> None:

@@ -14,13 +14,18 @@ import pytest
 import trimesh
 from PIL import Image
 
+from chamfer_morph.worker.frame_reader import read_colors
+from chamfer_morph.worker.sandbox.derived_files import StoredSurface
+from chamfer_morph.worker.tasks import reconstruct_surface
 from morph_engine import srgb
 from morph_engine.errors import ConfigError, ExtraError
 from morph_engine.export import export
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.mesh_colors import nearest_colors
-from morph_engine.morphing import prepare
+from morph_engine.geometry.splats import HARMONIC
+from morph_engine.morphing import morph, prepare
 from morph_engine.presets import configure
+from morph_engine.rendering import pictures
 from morph_engine.rendering.pictures import video
 from morph_engine.results.playback import Playback
 from morph_engine.results.run_record import RunRecord
@@ -35,6 +40,8 @@ COUNT = 12
 
 STILL_TO_SEE = 2.0
 """CIE 1976 colour difference that is hardly seen."""
+
+GREY = 0.5
 
 SETTINGS = {"sampling.points_per_cell_edge": 1, "sampling.fit": "volume", "frames": COUNT}
 
@@ -166,6 +173,18 @@ def test_ply_and_glb_and_obj_have_the_colours(result, run, egg, tmp_path):
     assert np.array_equal(arrays["colors"][-1], run.colors[-1])
     points = trimesh.load(export(result, tmp_path / "points.ply", "ply", frames=[-1]))
     assert np.array_equal(points.colors[:, :3], run.colors[-1])
+
+
+@pytest.mark.parametrize("surface", [False, True])
+def test_splats_of_each_frame_have_its_colours(result, run, tmp_path, surface):
+    """From those of one shape to those of the other, in the sRGB that viewers of splats show."""
+    frames = (0, COUNT // 2, COUNT - 1)
+    folder = export(result, tmp_path / "all", "splat", frames=frames, surface=surface)
+    for snapshot in snapshots(run, surface=surface, frames=frames):
+        file = trimesh.load(folder / f"frame-{snapshot.frame:04d}.ply")
+        values = file.metadata["_ply_raw"]["vertex"]["data"]
+        shares = np.stack([values[f"f_dc_{i}"] for i in range(3)], axis=1) * HARMONIC + 0.5
+        np.testing.assert_allclose(255 * shares, snapshot.colors, atol=0.01)
 
 
 class Glb:
@@ -375,3 +394,79 @@ def test_each_leg_leads_from_the_colours_of_the_last_one(ball, egg, tmp_path):
         playback = Playback(run, Timing(seconds=2, fps=4, repeat="loop"))
         first, *_, last = Selection(run, (0,), surface=True).played(playback)
         assert np.array_equal(first.colors, last.colors)
+
+
+@pytest.fixture(scope="module")
+def flowing(ball, egg, tmp_path_factory):
+    """The ball becomes the egg as it really goes, by the default method."""
+    path = tmp_path_factory.mktemp("flow") / "flow.vtkhdf"
+    for _ in morph(ball, egg, configure("fast", SETTINGS), out=path):
+        pass
+    return path
+
+
+@pytest.mark.parametrize("surface", [False, True])
+def test_a_run_begins_and_ends_with_the_colours_of_the_originals(flowing, ball, egg, surface):
+    """Wherever its matter has flowed: of a film of two pictures the first is the source itself."""
+    with Trajectory(flowing) as run:
+        playback = Playback(run, Timing(seconds=1, fps=2))
+        played = Selection(run, (0,), surface=surface, units="source").played(playback)
+        first = next(iter(played))
+        (last,) = snapshots(run, surface=surface, frames=(COUNT - 1,))
+    for mesh, snapshot in ((ball, first), (egg, last)):
+        found = differences(snapshot.colors, original(mesh, snapshot.vertices))
+        assert found.max() < STILL_TO_SEE
+
+
+def test_matter_that_flows_goes_from_colour_to_colour(flowing):
+    """Each particle by 3 s^2 - 2 s^3 of the way in linear light; halfway it is neither of both."""
+    with Trajectory(flowing) as run:
+        begin, end = srgb.from_bytes(run.colors)
+        shown = snapshots(run, surface=False, frames=range(COUNT))
+    for frame, snapshot in enumerate(shown):
+        s = (frame + 1) / COUNT
+        share = 3 * s**2 - 2 * s**3
+        mixed = srgb.to_bytes(begin + share * (end - begin))
+        assert differences(snapshot.colors, mixed).max() < STILL_TO_SEE
+    halfway = shown[COUNT // 2 - 1].colors
+    ends = srgb.to_bytes(begin), srgb.to_bytes(end)
+    apart = differences(*ends)
+    assert np.median(apart) > 10 * STILL_TO_SEE
+    for colors in ends:
+        assert np.median(differences(halfway, colors) / apart) > 0.25
+
+
+def test_the_page_is_handed_the_colours_of_a_run(flowing, tmp_path):
+    """By particle as well as by corner of the surface: those of an export."""
+    for frame in (0, COUNT // 2 - 1, COUNT - 1):
+        with Trajectory(flowing) as run:
+            (points,) = snapshots(run, surface=False, frames=(frame,))
+            (surface,) = snapshots(run, surface=True, frames=(frame,))
+        assert np.array_equal(read_colors(flowing).at(frame), points.colors)
+        file = tmp_path / f"{frame}.npz"
+        reconstruct_surface.run(flowing, frame, file)
+        stored = StoredSurface.load(file)
+        assert np.array_equal(stored.colors, surface.colors)
+
+
+@pytest.mark.parametrize("frame", [COUNT // 2 - 1, COUNT - 1])
+def test_a_picture_has_the_colours_of_a_run_in_its_light(flowing, tmp_path, frame):
+    """At the corners that face the eye, once divided by what grey matter has there."""
+    size = (400, 300)
+    file = video(flowing, tmp_path / "run.png", surface=True, size=size, frames=[frame])
+    drawn = np.asarray(Image.open(file).convert("RGB"), float)
+    with Trajectory(flowing) as run:
+        (shape,) = snapshots(run, surface=True, frames=(frame,), units="grid")
+        seen = np.concatenate([run.positions(frame), run.run.target_points])
+        eye = pictures.Camera.facing(seen, pictures.look(up=run.run.placement.up), size)
+    grey = pictures.picture(
+        shape.vertices, spacing=shape.spacing, colors=np.full(shape.vertices.shape, GREY),
+        faces=shape.faces, view=eye, size=size,
+    )  # fmt: skip
+    facing = shape.normals @ eye.rotation[2] > 0.5
+    across, up, _ = eye.seen(shape.vertices[facing], size).T
+    pixel = np.floor(size[1] / 2 - up).astype(int), np.floor(size[0] / 2 + across).astype(int)
+    flat = drawn[pixel] / (grey[pixel] / 255 / GREY)
+    exposed = (drawn[pixel] < 255).all(axis=1)
+    found = differences(np.minimum(flat, 255), shape.colors[facing])[exposed]
+    assert np.median(found) < STILL_TO_SEE and np.quantile(found, 0.95) < 3 * STILL_TO_SEE

@@ -99,6 +99,26 @@ def test_splats_of_a_surface_lie_in_it(trajectory, tmp_path):
     assert found["f_dc_0"][up].min() > found["f_dc_0"][normals[:, 2] < -0.5].max()
 
 
+@pytest.mark.parametrize("surface", [False, True])
+def test_splats_of_several_frames_are_a_file_each(trajectory, tmp_path, surface):
+    """A zip or a folder of files that players show one after the other, each as if alone."""
+    options = {"surface": surface, "units": "grid"}
+    folder = export(trajectory, tmp_path / "all", "splat", **options)
+    names = [f"frame-{frame:04d}.ply" for frame in range(3)]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    with zipfile.ZipFile(export(trajectory, tmp_path / "all.zip", "splat", **options)) as archive:
+        assert archive.namelist() == names
+        for frame, name in enumerate(names):
+            alone = export(trajectory, tmp_path / name, "splat", frames=[frame], **options)
+            assert archive.read(name) == (folder / name).read_bytes() == alone.read_bytes()
+            found = splats(alone)
+            places = np.stack([found[axis] for axis in "xyz"], axis=1)
+            expected = trajectory.positions(frame)
+            if surface:
+                expected = reconstruct_surface(expected, 0.5).vertices
+            np.testing.assert_allclose(places, expected, atol=TOLERANCE)
+
+
 @pytest.mark.parametrize("format", ["ply", "obj", "glb"])
 def test_surfaces_have_normals(trajectory, tmp_path, format):
     """One of each corner, in the corners' order; OBJ has six digits."""
