@@ -98,7 +98,7 @@ export class Viewer {
     this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true, stencil: true });
     this.renderer.toneMapping = NeutralToneMapping;
     this.renderer.localClippingEnabled = true;
-    this.quality = new Quality();
+    this.quality = new Quality(software);
     this.canvas.setAttribute("role", "img");
     element.append(this.canvas);
 
