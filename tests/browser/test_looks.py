@@ -44,7 +44,7 @@ def cells(shot: Image.Image, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def shown(page: Page, job: str, name: str) -> Image.Image:
     """The page's finest picture from the front, without what floats over it."""
     page.goto(f"/jobs/{job}?frame=2&quality=full&look={name}")
-    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     page.keyboard.press("1")
     frame = page.locator(".scene-frame")
     frame.evaluate("frame => { frame.style.zIndex = 9; }")

@@ -68,6 +68,10 @@ export async function show(root, { id }, signal) {
     grow(progress.frame);
     timeline.go(index);
   };
+  let config = null;
+  const showShape = (job) => {
+    if (config && !shared() && lives(job.state) && !job.progress.frame) panel.showShape(job, config);
+  };
   let known = null;
   const onJob = (job) => {
     setTitle(jobName(job));
@@ -83,6 +87,7 @@ export async function show(root, { id }, signal) {
     panel.plan(job);
     if (["preparing", "computing"].includes(job.progress.stage)) panel.showSource();
     if (job.progress.frame === 0 && panel.frames.known) onAnew();
+    showShape(job);
     grow(job.progress.frame);
   };
   const grow = (count) => {
@@ -133,7 +138,7 @@ export async function show(root, { id }, signal) {
   const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
   const sheets = [
-    { name: "overview", title: "Overview", content: [summary.element, sharing?.element, history.element] },
+    { name: "overview", title: "Overview", content: [summary.element, panel.surfaceWords, sharing?.element, history.element] },
     {
       name: "curves",
       title: "Curves",
@@ -149,8 +154,9 @@ export async function show(root, { id }, signal) {
   );
   watch.run().catch(gone);
   try {
-    const config = await get(`/jobs/${id}/config`, { signal });
+    config = await get(`/jobs/${id}/config`, { signal });
     panel.setConfig(config);
+    showShape(watch.job);
     const marked = inGridUnits(job, config);
     if (marked.length) {
       const list = landmarks(marked);
