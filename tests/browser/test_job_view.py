@@ -353,6 +353,19 @@ def test_a_cut_surface_is_closed(page, done):
     assert drawn(page) > 0.05
 
 
+def test_the_shadow_of_what_is_cut_is_a_part_of_the_whole_one(page, done):
+    """What a cut takes away casts none, and nothing gets darker by it."""
+    page.goto(f"/jobs/{done}?frame={FRAMES}&quality=plain")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
+    whole = np.asarray(picture(page), int)
+    page.get_by_label("Cut", exact=True).select_option("z")
+    cut = np.asarray(picture(page), int)
+    shape = whole[..., 0] - whole[..., 2] > 20  # clay is redder than all around it
+    around = (whole - cut).mean(axis=2)[~shape]
+    assert np.count_nonzero(around < -8) > 0.01 * shape.sum()
+    assert np.count_nonzero(around > 8) < 0.002 * shape.sum()
+
+
 def test_looks_are_in_the_address(page, done):
     """Each material is another picture; a reload shows the same one."""
     page.goto(f"/jobs/{done}?quality=full")
