@@ -320,7 +320,7 @@ def test_a_surface_is_what_one_sees_first(page, done):
     """Particles are a key away; the overview says how far the surface is from the target."""
     page.goto(f"/jobs/{done}?quality=plain&details=overview")
     expect_frame(page, 1)
-    words = page.locator(".overview ~ .surface-words")
+    words = page.locator(".overview .surface-words")
     expect(words).to_contain_text(re.compile(r"surface, \d\.\d+ dx from"))
     expect(words).to_be_visible()
     expect(page.locator(".under figcaption")).to_have_text(f"Frame 1 of {FRAMES}")
@@ -689,7 +689,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
             assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0
     opened.route("**/exports", lambda route: route.abort())
     opened.get_by_label("Pace").select_option("linear")
-    opened.get_by_label("Rests at each shape").select_option("0.5")
+    opened.get_by_label("Rests").select_option("0.5")
     opened.get_by_label("Format").select_option("mp4")
     with opened.expect_request(re.compile("/exports$")) as asked:
         opened.get_by_role("button", name="Export").click()

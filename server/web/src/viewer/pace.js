@@ -48,7 +48,7 @@ export class Pace {
     const lasts = h("label", { class: "small quiet", for: "play-seconds" }, "Lasts [s]");
     const rates = { value: String(USUAL_RATE), change, title: "Pictures a second, in films" };
     this.rate = choice("play-rate", "Frame rate", named(RATES, "fps"), rates);
-    this.hold = choice("play-hold", "Rests at each shape", named(RESTS, "s"), { change, title: "How long each shape stands still" });
+    this.hold = choice("play-hold", "Rests", named(RESTS, "s"), { change, title: "How long it rests at each shape" });
     this.repeat = choice("play-repeat", "Played", REPEATS, { change, title: "Whether it comes back, or begins anew" });
     this.timed = [h("div", { class: "field" }, lasts, this.seconds), this.rate.field, this.hold.field, this.repeat.field];
     this.trouble = h("p", { class: "small fault", role: "alert" });

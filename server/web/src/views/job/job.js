@@ -53,6 +53,7 @@ export async function show(root, { id }, signal) {
   const pace = new Pace({ jobId: id, timeline, signal: there });
   display.element.append(pace.element);
   const summary = new Summary({ changed: () => changed(), signal });
+  summary.figures.after(panel.surfaceWords);
   const sharing = shared() ? null : new Sharing({ jobId: id, signal });
   const history = new History();
   const downloads = new Downloads({ jobId: id, panel, timeline, pace, signal });
@@ -138,7 +139,7 @@ export async function show(root, { id }, signal) {
   const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
   const sheets = [
-    { name: "overview", title: "Overview", content: [summary.element, panel.surfaceWords, sharing?.element, history.element] },
+    { name: "overview", title: "Overview", content: [summary.element, sharing?.element, history.element] },
     {
       name: "curves",
       title: "Curves",
