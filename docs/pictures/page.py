@@ -17,7 +17,6 @@ from PIL import Image
 from playwright.sync_api import Browser, FilePayload, Page, expect, sync_playwright
 
 from chamfer_morph.client import MorphClient
-from chamfer_morph.schemas import MeshShape
 from examples.service_demo import serving
 
 WIDTHS = {"desk": (1400, 900), "phone": (390, 844)}
@@ -77,7 +76,7 @@ def page_pictures(folder: Path) -> None:
         MorphClient(server) as client,
         sync_playwright() as playwright,
     ):
-        views = _views(client, *_jobs(client))
+        views = _views(client, _jobs(client))
         browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         for view in views:
             for width in WIDTHS:
@@ -88,8 +87,8 @@ def page_pictures(folder: Path) -> None:
         browser.close()
 
 
-def _jobs(client: MorphClient) -> tuple[list[str], str]:
-    """Morphs that are worth looking at, finished, and one that failed; others run and wait."""
+def _jobs(client: MorphClient) -> list[str]:
+    """Morphs that are worth looking at, finished, and others that are running and waiting."""
     finished = [
         client.submit(
             "sphere",
@@ -104,8 +103,7 @@ def _jobs(client: MorphClient) -> tuple[list[str], str]:
         client.submit(source, target, overrides={"sampling.points_per_cell_edge": 2}).id
         for source, target in SHOWN
     ]
-    failed = _failing(client)
-    for job in finished + others + [failed]:
+    for job in finished + others:
         for event in client.events(job):
             if event.type == "state":
                 print(f"{job}: {event.data['state']}")
@@ -113,33 +111,10 @@ def _jobs(client: MorphClient) -> tuple[list[str], str]:
     client.cancel(stopped)
     for name in ("running for long", "waiting"):
         client.submit("teapot", "text:MPM", name=name, frames=1000)
-    return finished, failed
+    return finished
 
 
-def _failing(client: MorphClient) -> str:
-    """A gutter whose walls lie between the points of the lattice, which only filling it shows."""
-    out, inner, half = 9.2, 9.05, 9.2
-    profile = [
-        (-out, -out), (out, -out), (out, out), (inner, out),
-        (inner, -inner), (-inner, -inner), (-inner, out), (-out, out),
-    ]  # fmt: skip
-    count = len(profile)
-    walls = ((1, 2, 5, 6), (2, 3, 4, 5), (1, 6, 7, 8))
-    lines = [f"v {x} {y} {z}" for z in (half, -half) for x, y in profile]
-    lines += [f"f {a} {b} {c} {d}" for a, b, c, d in walls]
-    lines += [f"f {d + count} {c + count} {b + count} {a + count}" for a, b, c, d in walls]
-    for a in range(count):
-        b = (a + 1) % count
-        lines.append(f"f {a + 1} {a + 1 + count} {b + 1 + count} {b + 1}")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "gutter.obj"
-        path.write_text("\n".join(lines))
-        mesh = client.upload_mesh(path)
-    overrides = {"sampling.points_per_cell_edge": 2, "sampling.fit": "none"}
-    return client.submit(MeshShape(mesh=mesh.id), "star", name="too thin", overrides=overrides).id
-
-
-def _views(client: MorphClient, jobs: list[str], failed: str) -> tuple[View, ...]:
+def _views(client: MorphClient, jobs: list[str]) -> tuple[View, ...]:
     there = _scenes_are_there(1)
     job = f"/jobs/{jobs[0]}?frame={FRAMES}&quality=full"
     sheets = tuple(
@@ -157,7 +132,6 @@ def _views(client: MorphClient, jobs: list[str], failed: str) -> tuple[View, ...
         View("share", f"{job}&details=overview", _link_is_made(client, jobs[0])),
         View("display", job, _display_is_open),
         View("keys", job, _keys_are_listed),
-        View("failed", f"/jobs/{failed}?quality=full", _problem_is_told),
         View("refused", pair, _mesh_is_refused),
         View("placed", "/new?source=shape:teapot&target=shape:heart", _shapes_are_placed),
         View("research", pair, _research_is_open),
@@ -189,10 +163,6 @@ def _keys_are_listed(page: Page) -> None:
     _scenes_are_there(1)(page)
     page.keyboard.press("?")
     expect(page.get_by_role("dialog")).to_be_visible()
-
-
-def _problem_is_told(page: Page) -> None:
-    expect(page.locator(".summary .notice.bad")).to_be_visible()
 
 
 def _mesh_is_refused(page: Page) -> None:
