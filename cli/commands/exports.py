@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from glob import escape
@@ -173,8 +173,13 @@ def view(
         str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
     ] = None,
     surface: Annotated[
-        bool, typer.Option("--surface", help="With the surface, which takes a minute or two.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--surface/--no-surface",
+            help="With the surface, which takes up to two minutes; by default where it takes "
+            "seconds.",
+        ),
+    ] = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
     service: ServiceOptions,
@@ -187,10 +192,13 @@ def view(
     place = out or Path(tempfile.mkdtemp(prefix="morph-")) / f"{Path(result).stem}.html"
     selection = SelectionOptions(frames=frames, force=force, quiet=quiet)
     with _written_file(result, place, selection, service, format="html") as writing:
+        chosen = parse_frames(frames)
+        tracked = _surface_is_quick(writing.result, chosen) if surface is None else surface
         exports.export(
-            writing.result, place, "html", frames=parse_frames(frames), tracked=surface,
-            watch=writing.watch,
-        )  # fmt: skip
+            writing.result, place, "html", frames=chosen, tracked=tracked, watch=writing.watch
+        )
+        if surface is None and not tracked:
+            writing.tell("Particles alone: --surface shows the surface, too, in up to two minutes.")
     if browser:
         webbrowser.open(place.absolute().as_uri())
 
@@ -271,6 +279,14 @@ def render(
             material=look,
             watch=writing.watch,
         )
+
+
+def _surface_is_quick(result: Path, frames: Sequence[int] | None) -> bool:
+    from morph_engine.export.html import is_quick
+    from morph_engine.results.trajectory import Trajectory
+
+    with Trajectory(result) as trajectory:
+        return is_quick(trajectory, frames)
 
 
 def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:

@@ -2,9 +2,10 @@
 
     python -m docs.pictures --meshes DIR            # all of them, about four minutes
     python -m docs.pictures page                    # those of the web page alone
+    python -m docs.pictures looks                   # the six looks, in the page and by morph render
     python -m docs.pictures gallery --to DIR        # twelve morphs, a sheet and their videos
 
-`page` needs chromium and the built page (make page); `morphs` needs the paper's meshes.
+`page` and `looks` need chromium and the built page (make page); `morphs` needs the paper's meshes.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import argparse
 from pathlib import Path
 
 from docs.pictures.gallery import gallery
+from docs.pictures.looks import looks
 from docs.pictures.morphs import morph_pictures
 from docs.pictures.page import page_pictures
 from docs.pictures.theory import theory_pictures
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
-GROUPS = ("page", "morphs", "theory")
+GROUPS = ("page", "looks", "morphs", "theory")
 
 
 def main() -> None:
@@ -46,6 +48,8 @@ def main() -> None:
         morph_pictures(arguments.to, arguments.meshes)
     if "gallery" in wanted:
         gallery(arguments.to)
+    if "looks" in wanted:
+        looks(arguments.to)
     if "page" in wanted:
         page_pictures(arguments.to / "page")
 

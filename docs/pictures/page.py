@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, FilePayload, Page, expect, sync_playwright
 
 from chamfer_morph.client import MorphClient
 from examples.service_demo import serving
@@ -34,7 +34,9 @@ SETTLED = 1500
 
 QUALITY = 82
 
-LAST_FRAME = re.compile("^Frame 40 of 40, ")
+FRAMES = 40
+
+LAST_FRAME = re.compile(f"^Frame {FRAMES} of {FRAMES}, ")
 
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
@@ -54,15 +56,18 @@ class View:
     prepare: Callable[[Page], None]
 
 
+def chromium() -> str:
+    """Where the browser is; without one the program ends."""
+    found = os.environ.get("MORPH_CHROMIUM") or shutil.which("chromium")
+    return found or sys.exit("There is no chromium. Install it, or name it in MORPH_CHROMIUM.")
+
+
 def page_pictures(folder: Path) -> None:
     """Start a service, have it morph, and write a picture of each view.
 
     Args:
         folder: Where `VIEW-WIDTH-SCHEME.webp` are written.
     """
-    chromium = os.environ.get("MORPH_CHROMIUM") or shutil.which("chromium")
-    if chromium is None:
-        sys.exit("There is no chromium. Install it, or name it in MORPH_CHROMIUM.")
     folder.mkdir(parents=True, exist_ok=True)
     expect.set_options(timeout=PATIENCE)
     with (
@@ -71,13 +76,14 @@ def page_pictures(folder: Path) -> None:
         MorphClient(server) as client,
         sync_playwright() as playwright,
     ):
-        views = _views(_jobs(client))
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        views = _views(client, _jobs(client))
+        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         for view in views:
             for width in WIDTHS:
                 for scheme in SCHEMES:
                     image = _picture(browser, server, view, width, scheme)
                     image.save(folder / f"{view.name}-{width}-{scheme}.webp", quality=QUALITY)
+            print(view.name)
         browser.close()
 
 
@@ -108,14 +114,92 @@ def _jobs(client: MorphClient) -> list[str]:
     return finished
 
 
-def _views(jobs: list[str]) -> tuple[View, ...]:
+def _views(client: MorphClient, jobs: list[str]) -> tuple[View, ...]:
+    there = _scenes_are_there(1)
+    job = f"/jobs/{jobs[0]}?frame={FRAMES}&quality=full"
+    sheets = tuple(
+        View(sheet, f"{job}&details={sheet}", there)
+        for sheet in ("overview", "curves", "settings", "files")
+    )
+    pair = "/new?source=shape:sphere&target=shape:text:MPM"
     return (
         View("jobs", "/", _jobs_are_there),
-        View("new", "/new?source=shape:sphere&target=shape:text:MPM", _previews_are_there),
-        View("job", f"/jobs/{jobs[0]}?frame=40", _scenes_are_there(1)),
+        View("new", pair, _previews_are_there),
+        View("job", job, there),
         View("gallery", "/gallery", _stills_are_there),
-        View("compare", f"/compare?jobs={','.join(jobs)}", _scenes_are_there(len(jobs))),
+        View("compare", f"/compare?jobs={','.join(jobs)}&quality=full", _scenes_are_there(4)),
+        *sheets,
+        View("share", f"{job}&details=overview", _link_is_made(client, jobs[0])),
+        View("display", job, _display_is_open),
+        View("keys", job, _keys_are_listed),
+        View("refused", pair, _mesh_is_refused),
+        View("placed", "/new?source=shape:teapot&target=shape:heart", _shapes_are_placed),
+        View("research", pair, _research_is_open),
     )
+
+
+def _link_is_made(client: MorphClient, job: str) -> Callable[[Page], None]:
+    def make(page: Page) -> None:
+        for link in client.share_links(job):
+            client.revoke_share_link(job, link.id)
+        _scenes_are_there(1)(page)
+        page.get_by_role("button", name="Make a link").click()
+        expect(page.get_by_label("Address of the link")).to_be_visible()
+        page.locator(".sharing").scroll_into_view_if_needed()
+
+    return make
+
+
+def _display_is_open(page: Page) -> None:
+    _scenes_are_there(1)(page)
+    if not page.locator(".display").is_visible():
+        page.keyboard.press("t")
+    page.get_by_label("Cut", exact=True).select_option("z")
+    page.get_by_label("Pace", exact=True).select_option("in-out")
+    expect(page.get_by_label("Played")).to_be_visible()
+
+
+def _keys_are_listed(page: Page) -> None:
+    _scenes_are_there(1)(page)
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog")).to_be_visible()
+
+
+def _mesh_is_refused(page: Page) -> None:
+    _previews_are_there(page)
+    sheet = b"v 0 0 0\nv 5 0 0\nv 0 5 0\nf 1 2 3\n"
+    file = FilePayload(name="sheet.obj", mimeType="text/plain", buffer=sheet)
+    card = page.get_by_role("region", name="From", exact=True)
+    card.get_by_label("Mesh file of the source").set_input_files(file)
+    expect(card.get_by_role("alert").filter(has_text="sheet.obj")).to_be_visible()
+
+
+def _shapes_are_placed(page: Page) -> None:
+    """Two pairs of landmarks, and handles that turn the source."""
+    _previews_are_there(page)
+    landmarks = page.get_by_role("region", name="Landmarks")
+    pick = landmarks.get_by_role("button", name="Pick in the pictures")
+    pick.click()
+    for across in (-20, 20):
+        for label in ("From", "To"):
+            canvas = page.get_by_role("region", name=label, exact=True).locator("canvas")
+            canvas.scroll_into_view_if_needed()
+            box = canvas.bounding_box()
+            assert box is not None
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            page.mouse.click(x + across, y)
+    expect(landmarks.get_by_role("listitem")).to_have_count(2)
+    pick.click()
+    source = page.get_by_role("region", name="From", exact=True)
+    source.get_by_text("Turn and place").click()
+    source.get_by_role("button", name="Turn", exact=True).click()
+    page.mouse.move(0, 0)
+
+
+def _research_is_open(page: Page) -> None:
+    _previews_are_there(page)
+    page.get_by_text("Research", exact=True).click()
+    expect(page.get_by_label("Preset", exact=True)).to_be_visible()
 
 
 def _jobs_are_there(page: Page) -> None:
@@ -143,7 +227,7 @@ def _scenes_are_there(count: int) -> Callable[[Page], None]:
         for index in range(count):
             canvas = page.locator(".scene canvas").nth(index)
             expect(canvas).to_have_attribute("aria-label", LAST_FRAME)
-            expect(page.locator(".scene-note").nth(index)).to_contain_text("from the target")
+            expect(page.locator(".surface-words").nth(index)).to_contain_text("from the target")
             expect(canvas).not_to_have_attribute("aria-busy", "true")
 
     return wait

@@ -23,7 +23,7 @@ from morph_engine.errors import ResultError
 from morph_engine.export.format import Format
 from morph_engine.results.playback import picture_table
 from morph_engine.results.selection import Selection
-from morph_engine.results.tracked_surface import TrackedSurface, track_surface
+from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface, track_surface
 from morph_engine.results.trajectory import Trajectory
 
 Floats = npt.NDArray[np.float64]
@@ -35,12 +35,23 @@ VIEWER = Path(__file__).parent / "viewer"
 LEVELS = 65535
 """Largest 16-bit share."""
 
-MOST_VALUES = 6_000_000
-"""Of coordinates in a file, for particles and for the surface: 12 MB before they are deflated, so
-that a file stays below 15 MB."""
+MOST_BYTES = 10_000_000
+"""Of arrays in a file, before they are deflated. What cannot be deflated is 13.4 MB in base64: with
+0.7 MB for the viewer a file stays below 15 MB whatever it shows."""
 
-NOTEBOOK_VALUES = 1_000_000
+NOTEBOOK_BYTES = 2_000_000
 """The same of what a notebook displays, which is stored in it."""
+
+POSITION_BYTES, COLOR_BYTES, TRIANGLE_BYTES = 6, 3, 12
+
+TRIANGLES_PER_VERTEX = 2
+"""Of a closed surface."""
+
+MESHES = 2
+"""A surface has as many where its topology changes."""
+
+QUICK = 200_000
+"""Particles of all frames together whose surface is followed in some ten seconds."""
 
 FRAME = """<iframe srcdoc="{page}" title="{title}" width="100%" height="520"
  style="border: 0" allowfullscreen></iframe>"""
@@ -75,21 +86,37 @@ def write(selection: Selection, path: Path) -> None:
     path.write_text(page(selection), encoding="utf-8")
 
 
+def is_quick(trajectory: Trajectory, frames: Sequence[int] | None = None) -> bool:
+    """Whether the surface of some frames, or of all, takes seconds; it is followed between them."""
+    count = trajectory.frame_count
+    chosen = range(count) if frames is None else {frame % count for frame in frames}
+    if len(chosen) < 2:
+        return False
+    return (max(chosen) - min(chosen) + 1) * trajectory.run.particle_count <= QUICK
+
+
 def embedded(trajectory: Trajectory) -> str | None:
-    """A viewer to be put into another page, such as a notebook; None where it is not built."""
+    """A viewer to be put into another page, such as a notebook; None where it is not built.
+
+    It shows the surface where that is quick, and else the particles alone.
+    """
     selection = Selection(trajectory, tuple(range(trajectory.frame_count)))
     if not selection.frames or not VIEWER.is_dir():
         return None
-    whole = page(selection, most_values=NOTEBOOK_VALUES)
+    if is_quick(trajectory):
+        selection = replace(selection, surface=True, tracked=True)
+    whole = page(selection, most_bytes=NOTEBOOK_BYTES)
     return FRAME.format(page=html.escape(whole), title=html.escape(_title(trajectory)))
 
 
-def page(selection: Selection, *, most_values: int = MOST_VALUES) -> str:
+def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
     """The file as text.
 
     Args:
         selection: As for `Format.write`.
-        most_values: Coordinates of particles, and of the surface; beyond it some are left out.
+        most_bytes: Size of all arrays before they are deflated. The surface takes half of them at
+            most, by larger triangles if need be, and the particles take the rest: beyond it some
+            are left out.
 
     Raises:
         ResultError: The viewer is not built, or a frame is damaged.
@@ -98,12 +125,19 @@ def page(selection: Selection, *, most_values: int = MOST_VALUES) -> str:
     script, style, licenses = map(_built, ("viewer.js", "viewer.css", "licenses.txt"))
     selection = replace(selection, units="grid")
     frames = tuple(sorted(set(selection.frames)))
-    trajectory, limit = selection.trajectory, most_values // (3 * len(frames))
+    trajectory = selection.trajectory
+    timing = picture_table(trajectory, selection.timing) if selection.timing else None
+    room = most_bytes - len(json.dumps(timing))
+    moving = POSITION_BYTES + COLOR_BYTES * (trajectory.colors is not None)
     surface = None
     if selection.tracked and len(frames) > 1:
-        surface = track_surface(selection, vertex_limit=limit)
+        still = MESHES * TRIANGLES_PER_VERTEX * TRIANGLE_BYTES
+        surface = track_surface(
+            selection, vertex_limit=room // 2 // (moving * (len(frames) + 1) + still)
+        )
+        room -= sum(_size(mesh) for mesh in surface.meshes)
     count = trajectory.run.particle_count
-    shown = _some(count, limit)
+    shown = _some(count, max(room // (moving * len(frames)), 1))
     points = np.stack([selection.placed(trajectory.positions(f)[shown], f) for f in frames])
     colors = None
     if trajectory.colors is not None:
@@ -118,8 +152,8 @@ def page(selection: Selection, *, most_values: int = MOST_VALUES) -> str:
         "up": trajectory.run.placement.up,
         "spacing": config.spacing * (count / len(shown)) ** (1 / 3),
     }
-    if selection.timing:
-        about["timing"] = picture_table(trajectory, selection.timing)
+    if timing:
+        about["timing"] = timing
     return PAGE.format(
         title=html.escape(title),
         licenses=licenses,
@@ -180,6 +214,12 @@ def pack(
         "surfaces": described,
     }
     return about, zlib.compress(b"".join(chunks), 9)
+
+
+def _size(mesh: TrackedMesh) -> int:
+    """Bytes of a mesh in the file before they are deflated."""
+    colors = 0 if mesh.colors is None else mesh.colors.size
+    return mesh.vertices.size * POSITION_BYTES // 3 + colors + len(mesh.faces) * TRIANGLE_BYTES
 
 
 def _title(trajectory: Trajectory) -> str:

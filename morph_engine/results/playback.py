@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,9 +43,30 @@ class Playback:
         self._station = lru_cache(KEPT_STATIONS)(self._read)
         complete = trajectory.status == "complete"
         closed = complete and trajectory.run.closed
-        self.moments: list[Moment] = moments(
-            self._distances(), stops(trajectory), timing, closed=closed
-        )
+        self.moments: list[Moment] = self._moments(timing, closed=closed)
+
+    def _moments(self, timing: Timing, *, closed: bool) -> list[Moment]:
+        """What is shown, along stations that lie at least the way of a picture apart.
+
+        Matter that settles goes to and fro between nearer ones: that way would take time in which
+        hardly anything is seen to move.
+        """
+        shapes = stops(self._trajectory)
+        every = range(self._trajectory.frame_count + 1)
+        distances = self._distances(every)
+        count = len(moments(distances, shapes, timing, closed=closed))
+        passes = 2 if timing.repeat == "ping-pong" else 1
+        kept = self._apart(passes * sum(distances) / count, shapes)
+        timing = replace(timing, seconds=count / timing.fps)
+        places = [kept.index(stop) for stop in shapes]
+        return [
+            replace(
+                moment,
+                weights=tuple((kept[index], weight) for index, weight in moment.weights),
+                station=float(np.interp(moment.station, range(len(kept)), kept)),
+            )
+            for moment in moments(self._distances(kept), places, timing, closed=closed)
+        ]
 
     def positions(self, moment: Moment) -> Floats:
         """Particle positions [dx], shape [n, 3], float64, in the order of the source."""
@@ -82,16 +106,26 @@ class Playback:
         positions = trajectory.positions(station - 1) if station else trajectory.run.source_points
         return np.asarray(positions, np.float64)
 
-    def _distances(self) -> list[float]:
-        """What particles move on average from station to station [dx]; lost ones left out."""
-        distances, before = [], self._read(0)
+    def _distances(self, stations: Sequence[int]) -> list[float]:
+        """What particles move on average from station to station [dx]."""
+        return [self._distance(one, other) for one, other in pairwise(stations)]
+
+    def _distance(self, one: int, other: int) -> float:
+        """What particles move on average between two stations [dx]; lost ones left out."""
+        lengths = np.linalg.norm(self._station(other) - self._station(one), axis=1)
+        finite = lengths[np.isfinite(lengths)]
+        return float(finite.mean()) if len(finite) else 0.0
+
+    def _apart(self, way: float, shapes: Sequence[int]) -> list[int]:
+        """The stations of the shapes, and between them others that lie at least so far apart."""
+        kept = [0]
         for station in range(1, self._trajectory.frame_count + 1):
-            here = self._read(station)
-            lengths = np.linalg.norm(here - before, axis=1)
-            finite = lengths[np.isfinite(lengths)]
-            distances.append(float(finite.mean()) if len(finite) else 0.0)
-            before = here
-        return distances
+            near = self._distance(kept[-1], station) < way
+            if near and station in shapes and kept[-1] not in shapes:
+                kept.pop()
+            if not near or station in shapes:
+                kept.append(station)
+        return kept
 
 
 def stops(trajectory: Trajectory) -> list[int]:

@@ -15,6 +15,7 @@ import av
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
@@ -88,6 +89,17 @@ def test_render_makes_a_video(result, tmp_path):
         assert (video.streams.video[0].width, video.streams.video[0].height) == (64, 48)
 
 
+def test_a_still_of_3840_by_2160(result, tmp_path):
+    """One frame in a look, on ground that its shadow falls on: matter in the middle alone."""
+    options = ("--frames", "-1", "--size", "3840x2160", "--look", "porcelain")
+    outcome = morph("render", result, "-o", "still.png", *options, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    with Image.open(tmp_path / "still.png") as still:
+        assert still.size == (3840, 2160)
+        assert still.convert("RGB").getpixel((5, 5)) == (255, 255, 255)
+        assert still.convert("RGB").getpixel((1920, 1080)) != (255, 255, 255)
+
+
 def test_render_keeps_a_time_of_its_own(result, tmp_path):
     """A second at 5 pictures a second, from all around, on nothing; JSON tells what was written."""
     options = ("--seconds", 1, "--fps", 5, "--easing", "linear", "--repeat", "ping-pong")
@@ -117,6 +129,7 @@ def test_render_keeps_a_time_of_its_own(result, tmp_path):
         (("render", "RESULT", "-o", "x.gif", "--seconds", "1", "--hold", "1"), "rests"),
         (("render", "RESULT", "-o", "x.gif", "--camera-key", "0:1"), "0.5:90,30,1.5"),
         (("render", "RESULT", "-o", "x.gif", "--background", "transparent"), "webm"),
+        (("render", "RESULT", "-o", "x.gif", "--background", "blakc"), "Did you mean 'black'?"),
         (("export", "RESULT", "-o", "x.ply", "--seconds", "1"), "mp4"),
     ],
 )

@@ -180,6 +180,14 @@ def test_bad_options_are_refused_with_cause_and_remedy(tmp_path, options, words)
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_mistake_in_the_method_is_named_before_a_missing_file(tmp_path):
+    """What is typed wrong on the command line comes before what lies on the disk."""
+    outcome = morph("run", "missing.obj", "star", "--method", "joit", cwd=tmp_path)
+    assert outcome.returncode == 2
+    assert "'joit'" in outcome.stderr and "'joint'" in outcome.stderr
+    assert "missing.obj" not in outcome.stderr
+
+
 def test_a_result_is_not_overwritten_unasked(tmp_path):
     """Another --out or --force is asked for, and the file stays as it was."""
     (tmp_path / "sphere-to-star.vtkhdf").write_text("precious")

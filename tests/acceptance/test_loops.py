@@ -14,6 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from morph_engine.results.playback import Playback
+from morph_engine.results.timeline import Timing
+from morph_engine.results.trajectory import Trajectory
+from tests.unit.test_playback import speeds
+
 MORPH = Path(sys.executable).with_name("morph")
 TIME = ("--seconds", "3", "--fps", "30", "--repeat", "loop", "--easing", "linear")
 
@@ -58,6 +63,16 @@ def test_a_film_through_three_shapes_ends_as_it_begins_and_never_jumps(loop: Pat
     assert moved.min() > 0.5
     again = np.append(moved, moved[0])  # where it begins anew
     assert np.abs(np.diff(np.log(again))).max() < np.log(1.25)
+
+
+def test_matter_moves_evenly_through_a_real_film(loop: Path) -> None:
+    """From picture to picture its mean speed changes by less than 10 %, also from leg to leg."""
+    with Trajectory(loop) as run:
+        legs = speeds(Playback(run, Timing(3, 30, easing="linear", repeat="loop")))
+    for before, after in pairwise([*legs, legs[0]]):
+        assert after[0] == pytest.approx(before[-1], rel=0.1)
+    for leg in legs:
+        np.testing.assert_allclose(leg[1:], leg[:-1], rtol=0.1)
 
 
 def test_the_video_lasts_as_long_as_asked(loop: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 
+import numpy as np
 import pytest
 from PIL import Image, ImageChops, ImageOps
 from playwright.sync_api import Page, expect
@@ -45,15 +46,15 @@ def expect_frames(page: Page, *frames: str) -> None:
         expect(canvas).to_have_attribute("aria-label", re.compile(f"^Frame {words}, "))
 
 
-def pictures(page: Page) -> list[Image.Image]:
-    """What the views show, without what floats over them and without their edges."""
+def pictures(page: Page, border: int = 16) -> list[Image.Image]:
+    """What the views show, without what floats over them and without their edges [pixels]."""
     page.wait_for_timeout(SETTLED)
     floating = page.locator(":is(.floating, .under)")
     floating.evaluate_all("all => all.forEach((one) => { one.style.visibility = 'hidden'; })")
     frames = page.locator(".scene-frame").all()
     shots = [Image.open(io.BytesIO(frame.screenshot())) for frame in frames]
     floating.evaluate_all("all => all.forEach((one) => { one.style.visibility = ''; })")
-    return [ImageOps.crop(shot, border=16) for shot in shots]
+    return [ImageOps.crop(shot, border=border) for shot in shots]
 
 
 def alike(one: Image.Image, other: Image.Image) -> bool:
@@ -158,6 +159,29 @@ def test_a_phone_needs_no_sideways_scroll(jobs, new_page):
     assert tops[1] > tops[0] + 250
     sizes = [canvas.bounding_box() for canvas in page.locator(".scene canvas").all()]
     assert sum(size["width"] * size["height"] for size in sizes) >= 0.6 * 390 * 844
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_nothing_floats_over_the_shapes(jobs, new_page, service, size):
+    """Of four jobs all that is drawn is seen beside names and captions."""
+    others = [service.submit(name=f"number {i}", method="dco", frames=2) for i in (3, 4)]
+    for job in others:
+        service.wait_for(job, "succeeded", seconds=180)
+    page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
+    page.goto(f"/compare?jobs={','.join([*jobs, *others])}&{SAME}")
+    expect_frames(page, "4 of 4", "3 of 3", "2 of 2", "2 of 2")
+    floating = page.locator(":is(.compare-head, .under figcaption, .tools)").all()
+    boxes = [box for one in floating if (box := one.bounding_box())]
+    for at, view in enumerate(pictures(page, border=0)):
+        rgb = np.asarray(view.convert("RGB"), int)
+        shape = rgb[..., 0] - rgb[..., 2] > 20  # clay is redder than all around it
+        assert shape.mean() > 0.05
+        corner = page.locator(".scene-frame").nth(at).bounding_box()
+        for box in boxes:
+            left, above = int(box["x"] - corner["x"]), int(box["y"] - corner["y"])
+            right, below = left + int(box["width"]), above + int(box["height"])
+            under = shape[max(above, 0) : max(below, 0), max(left, 0) : max(right, 0)]
+            assert not under.any(), f"{np.count_nonzero(under)} pixels are under {box}"
 
 
 def test_the_views_take_the_window(page, jobs):

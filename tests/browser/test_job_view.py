@@ -33,6 +33,8 @@ PATIENCE = 60
 SETTLED = 500
 """A picture that has not changed for as long [ms] is at rest."""
 
+BEGINNING = "The source. No frame is finished yet."
+
 ASKED_FOR_FULL_SCREEN = """() => {
   window.answer = new Promise((resolve) => {
     const unasked = setTimeout(() => resolve("not asked"), 20_000);
@@ -155,31 +157,32 @@ def test_a_remembered_target_comes_with_the_first_frame(new_service, new_page):
     with page.expect_response(re.compile("/target")) as refused:
         page.goto(f"/jobs/{job}")
     assert refused.value.status == 404
-    expect(page.locator(".scene canvas")).to_have_attribute(
-        "aria-label", "No frame is finished yet."
-    )
+    expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     with page.expect_response(re.compile("/target"), timeout=COMPILING * 1000) as found:
         fresh.call("POST", f"/v1/jobs/{before}/cancel")
     assert found.value.ok
 
 
 def test_the_source_is_in_sight_before_the_first_frame(new_service, new_page):
-    """While the method gets ready, which the page says, too."""
+    """While the job waits and while its method gets ready, which the page says, too."""
     fresh = new_service()
     page = new_page(of=fresh)
     before = fresh.submit(name="in the way", frames=MANY)
     fresh.wait_for(before, "running")
     job = fresh.submit(name="large", frames=1, method="flow", overrides={})
     page.goto(f"/jobs/{job}")
-    fresh.call("POST", f"/v1/jobs/{before}/cancel")
-    expect(page.locator(".scene canvas")).to_have_attribute(
-        "aria-label", "The source. No frame is finished yet.", timeout=COMPILING * 1000
-    )
+    expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
+    expect(page.locator(".summary")).to_contain_text("Queued")
+    waiting = picture(page)
     assert drawn(page) > 0.05
+    with page.expect_response(re.compile("/source"), timeout=COMPILING * 1000):
+        fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
+    assert ImageStat.Stat(ImageChops.difference(picture(page), waiting)).mean[0] < 1
     fresh.call("POST", f"/v1/jobs/{job}/cancel")
 
 
-def test_a_retry_begins_with_an_empty_view(new_service, new_page):
+def test_a_retry_begins_with_the_source(new_service, new_page):
     """While the job waits again, nothing of its first time is in sight."""
     fresh = new_service()
     page = new_page(of=fresh)
@@ -191,11 +194,11 @@ def test_a_retry_begins_with_an_empty_view(new_service, new_page):
     before = fresh.submit(name="in the way", frames=MANY)
     fresh.wait_for(before, "running")
     page.get_by_role("button", name="Retry").click()
-    page.get_by_role("dialog").get_by_role("button", name="Retry").click()
-    expect(page.locator(".scene canvas")).to_have_attribute(
-        "aria-label", "No frame is finished yet."
-    )
-    assert drawn(page) < 0.01
+    with page.expect_response(re.compile("/shapes/sphere/particles")):
+        page.get_by_role("dialog").get_by_role("button", name="Retry").click()
+    expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
+    expect(page.locator(".timeline output")).to_have_text("–")
+    assert drawn(page) > 0.05
     fresh.call("POST", f"/v1/jobs/{before}/cancel")
     expect_frame(page, FRAMES)
     assert drawn(page) > 0.05
@@ -238,6 +241,18 @@ def test_a_job_is_played_in_a_time_of_its_own(opened):
     with opened.expect_response(re.compile("/playback")) as answer:
         opened.get_by_label("Pace", exact=True).select_option("in-out")
     assert len(answer.value.json()["frames"]) == 5 * 30
+    lasts = opened.get_by_label("Lasts")
+    with opened.expect_response(re.compile("seconds=2.5&")) as answer:
+        lasts.fill("2.5")
+        lasts.blur()
+    with opened.expect_response(re.compile("fps=24")) as answer:
+        opened.get_by_label("Frame rate").select_option("24")
+    assert len(answer.value.json()["frames"]) == 60
+    lasts.fill("0")
+    lasts.blur()
+    expect(opened.get_by_text("Give a number of seconds from 0.1 to 3600.")).to_be_visible()
+    lasts.fill("5")
+    lasts.blur()
     with opened.expect_response(re.compile("repeat=ping-pong")):
         opened.get_by_label("Played", exact=True).select_option("ping-pong")
     expect(speed).to_be_hidden()
@@ -288,9 +303,7 @@ def test_the_scale_of_colours_grows_with_a_run(new_service, new_page):
     fresh.wait_for(before, "running")
     job = fresh.submit(name="far", frames=40)
     page.goto(f"/jobs/{job}")
-    expect(page.locator(".scene canvas")).to_have_attribute(
-        "aria-label", "No frame is finished yet."
-    )
+    expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     fresh.call("POST", f"/v1/jobs/{before}/cancel")
     fresh.wait_for(job, "succeeded", seconds=COMPILING)
     late.goto(f"/jobs/{job}")
@@ -304,17 +317,22 @@ def test_the_scale_of_colours_grows_with_a_run(new_service, new_page):
 
 
 def test_a_surface_is_what_one_sees_first(page, done):
-    """Particles are a key away; the surface says how far it is from the target."""
-    page.goto(f"/jobs/{done}?quality=plain")
+    """Particles are a key away; the overview says how far the surface is from the target."""
+    page.goto(f"/jobs/{done}?quality=plain&details=overview")
     expect_frame(page, 1)
-    expect(page.locator(".scene-note")).to_contain_text(re.compile(r"surface, \d\.\d+ dx from"))
+    words = page.locator(".overview .surface-words")
+    expect(words).to_contain_text(re.compile(r"surface, \d\.\d+ dx from"))
+    expect(words).to_be_visible()
+    expect(page.locator(".under figcaption")).to_have_text(f"Frame 1 of {FRAMES}")
+    expect(page.locator(".under")).not_to_contain_text(re.compile(r"\bdx\b|%"))
+    page.get_by_role("button", name="Details", exact=True).click()
     surface = picture(page)
     page.keyboard.press("p")
     expect(page.get_by_label("Show as")).to_have_value("points")
     changed(page, surface)
-    expect(page.locator(".scene-note")).to_be_hidden()
+    expect(words).to_be_empty()
     page.keyboard.press("s")
-    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     without = picture(page)
     assert without == surface
     page.get_by_label("Target").select_option("wireframe")
@@ -324,7 +342,7 @@ def test_a_surface_is_what_one_sees_first(page, done):
 def test_a_cut_surface_is_closed(page, done):
     """Where the plane cuts it there is one flat face, lit the same all over."""
     page.goto(f"/jobs/{done}?frame={FRAMES}&quality=plain")
-    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     page.keyboard.press("1")  # from the front, along z
     whole = picture(page)
     page.get_by_label("Cut", exact=True).select_option("z")
@@ -335,10 +353,23 @@ def test_a_cut_surface_is_closed(page, done):
     assert drawn(page) > 0.05
 
 
+def test_the_shadow_of_what_is_cut_is_a_part_of_the_whole_one(page, done):
+    """What a cut takes away casts none, and nothing gets darker by it."""
+    page.goto(f"/jobs/{done}?frame={FRAMES}&quality=plain")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
+    whole = np.asarray(picture(page), int)
+    page.get_by_label("Cut", exact=True).select_option("z")
+    cut = np.asarray(picture(page), int)
+    shape = whole[..., 0] - whole[..., 2] > 20  # clay is redder than all around it
+    around = (whole - cut).mean(axis=2)[~shape]
+    assert np.count_nonzero(around < -8) > 0.01 * shape.sum()
+    assert np.count_nonzero(around > 8) < 0.002 * shape.sum()
+
+
 def test_looks_are_in_the_address(page, done):
     """Each material is another picture; a reload shows the same one."""
     page.goto(f"/jobs/{done}?quality=full")
-    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     names = ["clay", "porcelain", "jelly", "metal", "wax", "glass"]
     assert (
         page.get_by_label("Look", exact=True)
@@ -356,13 +387,35 @@ def test_looks_are_in_the_address(page, done):
     expect(page.get_by_label("Look", exact=True)).to_have_value("glass")
 
 
+def test_creases_and_the_ground_below_are_darker(service, page):
+    """Ambient occlusion darkens what is hollow, the soft shadow the ground around it."""
+    job = service.submit(name="hollow", target={"shape": "torus"}, frames=2, method="dco")
+    service.wait_for(job, "succeeded", seconds=COMPILING)
+    seen = {}
+    for fineness in ("plain", "full"):
+        page.goto(f"/jobs/{job}?frame=2&quality={fineness}")
+        expect(page.locator(".surface-words")).to_contain_text("dx from the target")
+        seen[fineness] = np.asarray(picture(page), int)
+    page.locator(".scene canvas").evaluate("canvas => { canvas.style.opacity = 0; }")
+    empty = np.asarray(picture(page), int)
+    plain, full = seen["plain"], seen["full"]
+    shape = plain[..., 0] - plain[..., 2] > 20  # clay is redder than all around it
+    creases = (plain - full).mean(axis=2)[shape]
+    assert np.mean(creases > 8) > 0.001
+    assert np.mean(creases < -8) < 0.0001
+    shadow = ((empty - full).mean(axis=2) > 8) & ~shape
+    assert shadow.sum() > 0.05 * shape.sum()
+    middles = [np.nonzero(one)[0].mean() for one in (shape, shadow)]
+    assert middles[0] < middles[1]  # the shadow lies lower
+
+
 @pytest.mark.parametrize("look", ["clay", "jelly", "metal"])
 def test_a_sketch_of_a_surface_is_lit_like_a_finer_picture(page, done, look):
     """Which takes its light from a picture of a ball: within 12 levels of 255 on the average."""
     seen = []
     for fineness in ("sketch", "plain"):
         page.goto(f"/jobs/{done}?frame={FRAMES}&look={look}&quality={fineness}")
-        expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+        expect(page.locator(".surface-words")).to_contain_text("dx from the target")
         taken = picture(page)
         width, height = taken.size
         seen.append(taken.crop((width // 4, height // 4, 3 * width // 4, 3 * height // 4)))
@@ -407,7 +460,7 @@ def test_what_moves_is_seen_between_frames(opened, shape):
     opened.get_by_role("button", name="Play", exact=True).click()
     if shape == "surface":  # in motion once all are there
         expect(opened.locator(".scene-note")).to_contain_text("Particles, until")
-        expect(opened.locator(".scene-note")).to_contain_text("dx from the target")
+        expect(opened.locator(".surface-words")).to_contain_text("dx from the target")
     pictures = opened.evaluate(
         """async () => {
           const canvas = document.querySelector(".scene canvas");
@@ -432,6 +485,12 @@ def test_what_moves_is_seen_between_frames(opened, shape):
     expect(opened.get_by_role("button", name="Play", exact=True)).to_be_visible()
 
 
+NAMELESS = """all => all
+  .filter((one) => !one.title && (one.matches("select") || !one.textContent))
+  .map((one) => one.outerHTML)"""
+"""Of some controls those that say nothing on hovering; what a list offers is not its name."""
+
+
 @pytest.mark.parametrize(
     ("size", "share"), [((1400, 900), 0.7), ((390, 844), 0.6)], ids=["desk", "phone"]
 )
@@ -451,7 +510,7 @@ def test_the_view_takes_the_window(done, new_page, size, share):
         assert place["x"] >= 0 and place["x"] + place["width"] <= width, control
         assert place["y"] >= 0 and place["y"] + place["height"] <= height, control
     nameless = page.locator(".tools button, .display select, .timeline :is(button, select)")
-    assert nameless.evaluate_all("all => all.filter((one) => !one.title && !one.textContent)") == []
+    assert nameless.evaluate_all(NAMELESS) == []
     page.keyboard.press("t")
     page.keyboard.press("n")
     expect(page.locator(".drawer")).to_be_visible()
@@ -539,6 +598,24 @@ def test_no_words_are_cut(done, new_page, size):
         assert page.evaluate(CUT) == [], sheet
 
 
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_all_of_the_display_is_in_sight(done, new_page, size):
+    """Without scrolling in it, with the controls of a cut and of a pace."""
+    page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
+    page.goto(f"/jobs/{done}")
+    expect_frame(page, 1)
+    if not page.locator(".display").is_visible():
+        page.keyboard.press("t")
+    page.get_by_label("Cut", exact=True).select_option("x")
+    page.get_by_label("Pace", exact=True).select_option("linear")
+    expect(page.get_by_label("Position of the cut")).to_be_visible()
+    expect(page.get_by_label("Played", exact=True)).to_be_visible()
+    display = page.locator(".display")
+    assert display.evaluate("one => one.scrollHeight - one.clientHeight") <= 0
+    under = display.bounding_box()
+    assert under["y"] + under["height"] <= page.locator(".timeline").bounding_box()["y"]
+
+
 def test_list_of_keys(opened):
     """By its key."""
     opened.keyboard.press("?")
@@ -615,7 +692,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
             assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0
     opened.route("**/exports", lambda route: route.abort())
     opened.get_by_label("Pace").select_option("linear")
-    opened.get_by_label("Rests at each shape").select_option("0.5")
+    opened.get_by_label("Rests").select_option("0.5")
     opened.get_by_label("Format").select_option("mp4")
     with opened.expect_request(re.compile("/exports$")) as asked:
         opened.get_by_role("button", name="Export").click()

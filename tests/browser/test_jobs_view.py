@@ -38,14 +38,14 @@ def test_an_empty_list_invites_to_a_first_morph(new_service, new_page):
 
 
 def test_a_job_moves_through_the_list_by_itself(service, page):
-    """Without a reload, a job submitted elsewhere appears, ends, and gets its distance."""
+    """Without a reload, a job submitted elsewhere appears, ends, and says how good it is."""
     page.goto("/")
     expect(page.get_by_role("heading", name="Jobs")).to_be_visible()
     service.submit(name="seen from afar")
     found = row(page, "seen from afar")
     expect(found).to_contain_text("Succeeded")
     expect(found).to_contain_text("3 frames in")
-    expect(found.locator(".distance")).to_have_text(re.compile(r"\d\.\d+"))
+    expect(found.locator(".quality")).to_have_text(re.compile(r"^\d+ % filled$"))
 
 
 def test_cancel_resume_retry_and_delete(service, page):

@@ -44,7 +44,7 @@ def cells(shot: Image.Image, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def shown(page: Page, job: str, name: str) -> Image.Image:
     """The page's finest picture from the front, without what floats over it."""
     page.goto(f"/jobs/{job}?frame=2&quality=full&look={name}")
-    expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     page.keyboard.press("1")
     frame = page.locator(".scene-frame")
     frame.evaluate("frame => { frame.style.zIndex = 9; }")
@@ -71,9 +71,10 @@ def silhouette(page, sculpture) -> np.ndarray:
 def test_a_look_is_the_same_in_the_page_and_on_the_command_line(
     page, sculpture, surface, silhouette, name
 ):
-    """CIE 1976 difference of the mean colours below 8, and of cells below 18 on the average.
+    """CIE 1976 difference of the mean colours below 7, and of cells below 9 on the average.
 
-    Reflections differ in their places: the page has a room of boxes and an eye at a distance.
+    Reflections differ in their places, of metal most: the page has a room of boxes and an eye at a
+    distance.
     """
     seen = shown(page, sculpture, name)
     behind = np.asarray(seen.convert("RGB"))[5, seen.width // 2] / 255
@@ -87,5 +88,5 @@ def test_a_look_is_the_same_in_the_page_and_on_the_command_line(
     there, also_full = cells(Image.fromarray(drawn(background=tuple(behind))), outline)
     both = full & also_full
     assert np.count_nonzero(both) > CELLS**2 / 3
-    assert differences(here[both].mean(axis=0), there[both].mean(axis=0)) < 8
-    assert differences(here[both], there[both]).mean() < 18
+    assert differences(here[both].mean(axis=0), there[both].mean(axis=0)) < 7
+    assert differences(here[both], there[both]).mean() < (17 if name == "metal" else 9)

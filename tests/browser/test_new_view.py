@@ -145,9 +145,13 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
 
 
 @pytest.mark.parametrize(
-    ("scale", "suffix"), [(0.001, ".glb"), (1.0, ".obj"), (1000.0, ".stl")], ids=["mm", "m", "km"]
+    ("scale", "suffix", "method"),
+    [(0.001, ".glb", "dco"), (1.0, ".obj", None), (1000.0, ".stl", "dco")],
+    ids=["mm", "m-default", "km"],
 )
-def test_meshes_of_any_unit_come_back_where_they_were(service, page, tmp_path, scale, suffix):
+def test_meshes_of_any_unit_come_back_where_they_were(
+    service, page, tmp_path, scale, suffix, method
+):
     """Heart to teapot, off-centre, in other units, an STL with z up: no setting is touched.
 
     The result's maps bring the shapes back to 1e-5 of their size.
@@ -155,7 +159,7 @@ def test_meshes_of_any_unit_come_back_where_they_were(service, page, tmp_path, s
     z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     turn = z_up if suffix == ".stl" else np.eye(3)
     ends = {"source": ("From", "heart"), "target": ("To", "teapot")}
-    page.goto("/new?methods=dco")
+    page.goto(f"/new?methods={method}" if method else "/new")
     for role, (label, name) in ends.items():
         shape = make(name)
         vertices = (shape.vertices @ turn.T + [40.0, -90.0, 3.0]) * scale
@@ -263,8 +267,8 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     refused = from_card.get_by_role("alert").filter(has_text="sheet.obj")
     seen = act(lambda: drop(page, sheet), refused.wait_for)
     assert seen[-1] == NOTHING
-    page.get_by_label("Frames", exact=True).fill("7")
-    page.get_by_label("Frames", exact=True).blur()
+    page.get_by_label("Lasts").fill("7")
+    page.get_by_label("Lasts").blur()
     expect(page.get_by_text("1 setting changed")).to_be_attached()
     assert page.evaluate(RECORD) == NOTHING, "another setting does not bring it back"
     page.get_by_role("button", name="Morph").click()
@@ -457,6 +461,7 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
     sent = []
     page.on("request", lambda request: request.method == "POST" and sent.append(request.url))
     page.goto("/new")
+    research(page)
     frames = page.get_by_label("Frames", exact=True)
     frames.fill("0")
     frames.blur()
@@ -472,6 +477,36 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
     frames.blur()
     expect(page.get_by_text("Give a whole number from 1 to 10000.")).to_have_count(0)
     expect(page).to_have_url(re.compile("frames%22%3A7"))
+
+
+def test_a_morph_lasts_as_many_seconds_as_asked(page):
+    """At twelve frames a second, all legs together; what cannot be is told and not sent."""
+    page.goto("/new?source=shape:sphere&target=shape:sphere&via=shape:torus")
+    lasts = page.get_by_label("Lasts")
+    expect(lasts).to_have_value("6.67")
+    expect(page.get_by_label("Frames", exact=True)).to_be_hidden()
+    lasts.fill("-1")
+    page.get_by_role("button", name="Morph").click()
+    expect(page.get_by_text("Give a number of seconds above 0, at most 1666.")).to_be_visible()
+    expect(lasts).to_be_focused()
+    lasts.fill("5")
+    lasts.blur()
+    expect(page).to_have_url(re.compile("frames%22%3A30%7D"))
+    page.route("**/v1/jobs", lambda route: route.abort())
+    with page.expect_request(re.compile("/v1/jobs$")) as sent:
+        page.get_by_role("button", name="Morph").click()
+    assert sent.value.post_data_json["overrides"] == {"frames": 30}
+    research(page)
+    expect(page.get_by_label("Frames", exact=True)).to_have_value("30")
+
+
+def test_messages_call_settings_as_the_form_does(page):
+    """Whether they have a field of their own or stand under a heading, and never by a path."""
+    page.goto('/new?overrides={"grid.dx":8}')
+    page.get_by_role("button", name="Morph").click()
+    told = page.get_by_role("alert").filter(has_text="fewer than 500")
+    expect(told).to_contain_text("Raise “Particles per cell edge”, or lower “Dx” under “Grid”.")
+    expect(told.locator("code")).to_have_count(0)
 
 
 def test_what_only_the_service_refuses_is_told_beside_its_field(page):
@@ -569,9 +604,9 @@ def test_a_morph_with_the_keyboard_alone(service, page):
     tab_to(card(page, "From").get_by_label("sphere"))
     page.keyboard.press("ArrowRight")
     expect(card(page, "From").get_by_label("torus")).to_be_checked()
-    tab_to(page.get_by_label("Frames", exact=True))
+    tab_to(page.get_by_label("Lasts"))
     page.keyboard.press("ControlOrMeta+A")
-    page.keyboard.type("2")
+    page.keyboard.type("0.2")
     tab_to(page.get_by_label("Name"))
     page.keyboard.type("typed")
     tab_to(page.locator("summary").filter(has_text="Research"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 from nbconvert import HTMLExporter
-from playwright.sync_api import Browser, expect
+from PIL import Image, ImageChops, ImageStat
+from playwright.sync_api import Browser, Locator, Page, expect
 
 pytestmark = pytest.mark.browser
 
@@ -23,6 +25,14 @@ def executed(folder: Path, *cells: str) -> nbformat.NotebookNode:
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
     client = NotebookClient(notebook, kernel_name="python3", timeout=300)
     return client.execute(cwd=str(folder))
+
+
+def picture(page: Page, canvas: Locator) -> Image.Image:
+    """What is drawn, once it is at rest."""
+    canvas.scroll_into_view_if_needed()
+    page.wait_for_timeout(1500)
+    expect(canvas).not_to_have_attribute("aria-busy", "true")
+    return Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")
 
 
 def test_the_example_has_three_cells_and_ends_with_a_viewer(
@@ -40,6 +50,15 @@ def test_the_example_has_three_cells_and_ends_with_a_viewer(
     viewer = page.frame_locator("iframe[title='heart to star']")
     expect(viewer.locator("canvas")).to_be_visible(timeout=120_000)
     expect(viewer.get_by_text("1 / 24")).to_be_visible()
+    before = picture(page, viewer.locator("canvas"))
+    box = viewer.locator("canvas").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 120, y + 40, steps=6)
+    page.mouse.up()
+    after = picture(page, viewer.locator("canvas"))
+    assert ImageStat.Stat(ImageChops.difference(before, after)).mean[0] > 2
     page.close()
 
 

@@ -76,7 +76,7 @@ def show(page: Page, job: str, frame: int, shape: str) -> None:
         page.goto(f"/jobs/{job}?frame={frame}&shape={shape}&quality=plain")
     expect_frame(page, frame, FRAMES)
     if shape == "surface":
-        expect(page.locator(".scene-note")).to_contain_text("dx from the target")
+        expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     page.locator(".scene").focus()
     page.keyboard.press("1")
 

@@ -2,16 +2,55 @@
 
 from __future__ import annotations
 
+import base64
+import re
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from morph_engine.errors import ResultError
 from morph_engine.export import export, html
+from morph_engine.geometry.mesh import load_mesh
+from morph_engine.geometry.placement import Placement
+from morph_engine.geometry.sampling import Similarity
+from morph_engine.morphing import prepare
+from morph_engine.presets import configure
+from morph_engine.results.run_record import RunRecord
+from morph_engine.results.selection import Selection
+from morph_engine.results.spool import Spool
+from morph_engine.results.timeline import Timing
 from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface
-from morph_engine.results.trajectory import Trajectory
+from morph_engine.results.trajectory import Trajectory, write_result
+
+
+@pytest.fixture
+def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a viewer as large as the real one, which tests of the text do without."""
+    folder = tmp_path / "viewer"
+    folder.mkdir()
+    for name, size in (("viewer.js", 700_000), ("viewer.css", 15_000), ("licenses.txt", 5_000)):
+        (folder / name).write_text(" " * size)
+    monkeypatch.setattr(html, "VIEWER", folder)
+    return folder
+
+
+def stored(path: Path, record: RunRecord, frames: Iterator[np.ndarray]) -> Path:
+    """A result with these positions."""
+    with Spool.create(path, record) as spool:
+        for index, positions in enumerate(frames):
+            spool.append(index, positions.astype(np.float32), {"s2t": 1.0})
+        write_result(spool, status="complete")
+    return path
+
+
+def arrays(page: str) -> bytes:
+    """What the viewer unpacks."""
+    (packed,) = re.findall(r'id="frames">([^<]*)<', page)
+    return zlib.decompress(base64.b64decode(packed))
 
 
 def unpacked(chunk: bytes, frames: int, count: int) -> np.ndarray:
@@ -52,14 +91,48 @@ def test_positions_come_out_as_they_went_in() -> None:
     assert at == len(data)
 
 
+def test_a_file_is_below_15_mb_whatever_it_shows(built: Path, tmp_path: Path) -> None:
+    """Many particles that jump at random, which nothing deflates, and a table of many pictures."""
+    chance = np.random.default_rng(2)
+    points = chance.uniform(-10, 10, (250_000, 3)).astype(np.float32)
+    record = RunRecord(
+        config=configure("fast", {"frames": 8}),
+        source=points,
+        target=points,
+        source_points=points,
+        target_points=points,
+        placement=Placement(source=Similarity(), target=Similarity()),
+    )
+    frames = (chance.uniform(-10, 10, points.shape) for _ in range(8))
+    with Trajectory(stored(tmp_path / "noise.vtkhdf", record, frames)) as trajectory:
+        page = html.page(Selection(trajectory, tuple(range(8)), timing=Timing(1200, 60)))
+    assert 13e6 < len(page.encode()) < 15e6
+    assert re.search(r"\(\d+,\d+ shown\)", page)
+
+
+def test_particles_surface_and_colours_share_what_there_is(built: Path, tmp_path: Path) -> None:
+    """A file has as many bytes of them as it may, and no more."""
+    chance = np.random.default_rng(3)
+    for name, shape in (("ball", (6, 6, 6)), ("egg", (6, 7, 6))):
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        mesh.vertices *= shape
+        mesh.visual.vertex_colors = chance.integers(0, 256, (len(mesh.vertices), 4), np.uint8)
+        mesh.export(tmp_path / f"{name}.ply")
+    settings = {"sampling.points_per_cell_edge": 1, "sampling.fit": "none", "frames": 12}
+    ball, egg = (load_mesh(tmp_path / f"{name}.ply") for name in ("ball", "egg"))
+    record = prepare(ball, egg, configure("fast", settings))
+    jumping = (record.source_points * chance.uniform(0.7, 1.3) for _ in range(12))
+    with Trajectory(stored(tmp_path / "jumps.vtkhdf", record, jumping)) as trajectory:
+        selection = Selection(trajectory, tuple(range(12)), surface=True, tracked=True)
+        page = html.page(selection, most_bytes=90_000)
+    assert '"colored": true' in page and '"triangles"' in page
+    assert 0.9 * 90_000 < len(arrays(page)) <= 90_000
+
+
 def test_names_are_text(
-    small_result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_result: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A name cannot end the script it stands in."""
-    (tmp_path / "viewer.js").write_text("start()")
-    for name in ("viewer.css", "licenses.txt"):
-        (tmp_path / name).write_text("")
-    monkeypatch.setattr(html, "VIEWER", tmp_path)
     monkeypatch.setattr(html, "_title", lambda trajectory: "</script><script>alert(1)</script>")
     export(small_result, tmp_path / "view.html", "html")
     text = (tmp_path / "view.html").read_text(encoding="utf-8")
@@ -85,3 +158,10 @@ def test_viewer_that_is_not_built(
     assert not (tmp_path / "view.html").exists()
     with Trajectory(small_result) as trajectory:
         assert trajectory._repr_html_() is None
+
+
+def test_the_surface_of_a_small_result_is_quick(small_result: Path) -> None:
+    """Of several frames, counted with those between them; of one frame nothing is followed."""
+    with Trajectory(small_result) as trajectory:
+        assert html.is_quick(trajectory) and html.is_quick(trajectory, [0, -1])
+        assert not html.is_quick(trajectory, [1])

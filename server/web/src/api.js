@@ -63,6 +63,12 @@ export async function points(path, { query, signal } = {}) {
   return { positions, count: positions.length / 3, index, headers };
 }
 
+/** The particles that a shape becomes before any job, see `points`; the query says how it is filled. */
+export function particles(shape, options) {
+  const place = shape.mesh ? `/meshes/${shape.mesh}` : `/shapes/${encodeURIComponent(shape.shape)}`;
+  return points(`${place}/particles`, options);
+}
+
 /** One value per particle of a frame, and the range they were asked or found in. */
 export async function field(jobId, frame, name, { low, high, signal } = {}) {
   const { buffer, headers } = await binary(`/jobs/${jobId}/frames/${frame}/fields/${name}`, {

@@ -8,12 +8,13 @@ import { h } from "./dom.js";
  * @param {object} [more]
  * @param {string} [more.value] that is chosen at first; the first one of all if absent.
  * @param {(event: Event) => void} [more.change] hears that another one was chosen.
+ * @param {string} [more.title] says more of it on hovering.
  * @returns {{select: HTMLSelectElement, field: HTMLElement}} the list, and all of it.
  */
-export function choice(id, label, options, { value = options[0][0], change = () => {} } = {}) {
+export function choice(id, label, options, { value = options[0][0], change = () => {}, title } = {}) {
   const select = h(
     "select",
-    { id, on: { change } },
+    { id, title, on: { change } },
     options.map(([option, text]) => h("option", { value: option }, text)),
   );
   select.value = value;

@@ -1,7 +1,7 @@
 /** A problem as a block that says what is wrong and what to do about it. */
 
 import { h } from "./dom.js";
-import { TITLES } from "./setting_titles.js";
+import { settingName } from "./setting_titles.js";
 
 export function problemNotice(error) {
   return h(
@@ -16,5 +16,5 @@ export function problemNotice(error) {
 export function inTitles(text) {
   return text
     .split("`")
-    .map((part, index) => (index % 2 ? (TITLES[part] ? `“${TITLES[part]}”` : h("code", null, part)) : part));
+    .map((part, index) => (index % 2 ? (settingName(part) ?? h("code", null, part)) : part));
 }

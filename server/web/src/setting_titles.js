@@ -1,6 +1,20 @@
-/** Titles of the settings that have a field of their own in the form, by path. */
+/** What settings are called in the page, by path. */
+
+/** Titles of those that have a field of their own in the form. */
 export const TITLES = {
   frames: "Frames",
   "sampling.points_per_cell_edge": "Particles per cell edge",
   "sampling.fit": "Fit into the domain",
 };
+
+const names = new Map(Object.entries(TITLES).map(([path, title]) => [path, `“${title}”`]));
+
+/** @param {Array<{path: string, title: string, group: string}>} abouts all settings of the form, see schema.js. */
+export function learnTitles(abouts) {
+  for (const { path, title, group } of abouts) if (!names.has(path)) names.set(path, `“${title}” under “${group}”`);
+}
+
+/** @returns {string | undefined} what a setting is called in a sentence, if it is one that is known. */
+export function settingName(path) {
+  return names.get(path);
+}

@@ -24,10 +24,11 @@ const VERTEX = /* glsl */ `
   uniform vec4 cut;
   uniform float size;
   varying float height;
+  varying float beyond; // the cut
 
   void main() {
     gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
-    if (dot(cut.xyz, position) > cut.w) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    beyond = dot(cut.xyz, position) - cut.w;
     gl_PointSize = size;
     height = 0.5 + 0.5 * gl_Position.z;
   }
@@ -35,8 +36,10 @@ const VERTEX = /* glsl */ `
 
 const FRAGMENT = /* glsl */ `
   varying float height;
+  varying float beyond;
 
   void main() {
+    if (beyond > 0.0) discard;
     gl_FragColor = vec4(0.0, 0.0, 0.0, pow(1.0 - height, 3.0));
   }
 `;

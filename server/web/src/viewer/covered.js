@@ -28,12 +28,14 @@ function covered(view, pieces) {
  * @param {import("./panel.js").Panel} panel of the viewer.
  * @param {HTMLElement[][]} rows what floats over it; elements side by side are one piece.
  * @param {AbortSignal} signal
+ * @param {() => void} [onChange] hears that the viewer was told.
  */
-export function watchCovered(panel, rows, signal) {
+export function watchCovered(panel, rows, signal, onChange = () => {}) {
   const tell = async () => {
     const viewer = await panel.viewer;
     if (!viewer || signal.aborted) return;
     viewer.setCovered(covered(panel.scene.getBoundingClientRect(), rows.map(around)));
+    onChange();
   };
   const observer = new ResizeObserver(tell);
   for (const element of [panel.scene, ...rows.flat()]) observer.observe(element);

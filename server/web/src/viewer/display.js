@@ -59,7 +59,7 @@ export class Display {
       id: "display-offset",
       on: { input: (event) => this.set({ offset: Number(event.target.value) }) },
     });
-    this.reading = h("output", { class: "small quiet cut-reading" });
+    this.reading = h("output", { class: "quiet cut-reading" });
     this.drawn = h("output", { class: "small quiet drawn-reading" });
     this.toggle = iconButton("Display", "display", () => this.#open(this.element.hidden), {
       key: "T",
@@ -96,8 +96,13 @@ export class Display {
       (this.slider = h(
         "div",
         { class: "field cut" },
-        h("label", { class: "small", for: "display-offset" }, "Position of the cut"),
-        h("div", { class: "row" }, this.offset, this.reading),
+        h(
+          "label",
+          { class: "small", for: "display-offset" },
+          h("span", { class: "visually-hidden" }, "Position of the cut"),
+          this.reading,
+        ),
+        this.offset,
       )),
       this.#choice(
         "up",

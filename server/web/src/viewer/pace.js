@@ -3,9 +3,10 @@ import { get } from "../api.js";
 import { choice, offer } from "../choice.js";
 import { h } from "../dom.js";
 
-const PICTURES_PER_SECOND = 30;
-const SECONDS = [2, 3, 5, 8, 12, 20];
+const RATES = [24, 25, 30, 60];
+const USUAL_RATE = 30; // pictures a second
 const USUAL_SECONDS = 5;
+const MOST_SECONDS = 3600;
 const RESTS = [0, 0.5, 1, 2];
 const PACES = [
   ["frames", "Frame by frame"],
@@ -30,19 +31,32 @@ export class Pace {
   constructor({ jobId, timeline, signal }) {
     Object.assign(this, { jobId, timeline, signal });
     const change = () => this.#change();
-    const durations = (all) => all.map((seconds) => [String(seconds), `${seconds} s`]);
-    this.easing = choice("play-pace", "Pace", PACES, { change });
-    this.seconds = choice("play-seconds", "Lasts", durations(SECONDS), { value: String(USUAL_SECONDS), change });
-    this.hold = choice("play-hold", "Rests at each shape", durations(RESTS), { change });
-    this.repeat = choice("play-repeat", "Played", REPEATS, { change });
+    const named = (all, unit) => all.map((value) => [String(value), `${value} ${unit}`]);
+    this.easing = choice("play-pace", "Pace", PACES, { change, title: "How evenly the shapes become each other" });
+    this.seconds = h("input", {
+      type: "number",
+      id: "play-seconds",
+      inputmode: "decimal",
+      min: 0.1,
+      max: MOST_SECONDS,
+      step: "any",
+      required: true,
+      title: "Seconds from the first picture to the last",
+      value: USUAL_SECONDS,
+      on: { change },
+    });
+    const lasts = h("label", { class: "small quiet", for: "play-seconds" }, "Lasts [s]");
+    const rates = { value: String(USUAL_RATE), change, title: "Pictures a second, in films" };
+    this.rate = choice("play-rate", "Frame rate", named(RATES, "fps"), rates);
+    this.hold = choice("play-hold", "Rests", named(RESTS, "s"), { change, title: "How long it rests at each shape" });
+    this.repeat = choice("play-repeat", "Played", REPEATS, { change, title: "Whether it comes back, or begins anew" });
+    this.timed = [h("div", { class: "field" }, lasts, this.seconds), this.rate.field, this.hold.field, this.repeat.field];
     this.trouble = h("p", { class: "small fault", role: "alert" });
     this.element = h(
       "div",
       { class: "stack", hidden: true },
       this.easing.field,
-      this.seconds.field,
-      this.hold.field,
-      this.repeat.field,
+      ...this.timed,
       this.trouble,
     );
     this.#reflect();
@@ -65,10 +79,10 @@ export class Pace {
     if (easing === "frames") return null;
     return {
       easing,
-      seconds: Number(this.seconds.select.value),
+      seconds: this.seconds.valueAsNumber,
       hold: Number(this.hold.select.value),
       repeat: this.repeat.select.value,
-      fps: PICTURES_PER_SECOND,
+      fps: Number(this.rate.select.value),
     };
   }
 
@@ -78,6 +92,10 @@ export class Pace {
     const own = (this.asked = {});
     const query = this.request;
     if (!query) return this.timeline.setPace(null);
+    if (!this.seconds.checkValidity()) {
+      this.trouble.textContent = `Give a number of seconds from 0.1 to ${MOST_SECONDS}.`;
+      return;
+    }
     try {
       const pace = await get(`/jobs/${this.jobId}/playback`, { query, signal: this.signal });
       if (this.asked === own) this.timeline.setPace(pace);
@@ -90,6 +108,6 @@ export class Pace {
 
   #reflect() {
     const frames = this.easing.select.value === "frames";
-    for (const { field } of [this.seconds, this.hold, this.repeat]) field.hidden = frames;
+    for (const field of this.timed) field.hidden = frames;
   }
 }

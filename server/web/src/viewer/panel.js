@@ -1,5 +1,5 @@
 /** One job in the viewer: its frames, colours, target and surface, with words that tell the same. */
-import { colours, pause, points } from "../api.js";
+import { colours, particles, pause, points } from "../api.js";
 import { fill, h } from "../dom.js";
 import { number, percent } from "../format.js";
 import { COLOURS, decisive, range, values } from "./colors.js";
@@ -29,7 +29,9 @@ export class Panel {
   #playing = false;
   #grows = false;
   #asked = new AbortController();
+  #shapeAsked = false;
   #sourceAsked = false;
+  #begins = false; // whether what the job begins with is shown
   #rangeOf = "";
   #measured = Infinity; // frames that were known then
   #own = null; // promise of the colours of the shapes, asked for when so many frames were known:
@@ -79,6 +81,7 @@ export class Panel {
     this.help = h("p", { class: "visually-hidden", id: `help-${jobId}` }, HELP);
     this.scene.setAttribute("aria-describedby", this.help.id);
     this.note = h("p", { class: "scene-note small", hidden: true });
+    this.surfaceWords = h("p", { class: "quiet small surface-words" }); // how good it is, for where there is room
     this.legend = new Legend();
     this.caption = h("figcaption", { class: "small quiet" }, "No frame is finished yet.");
     this.element = h(
@@ -144,7 +147,7 @@ export class Panel {
     this.surfaces.clear();
     this.source = undefined;
     this.#followed = null;
-    this.#sourceAsked = false;
+    this.#shapeAsked = this.#sourceAsked = this.#begins = false;
     this.#rangeOf = "";
     this.#own = this.#ownShown = null;
     this.index = -1;
@@ -154,6 +157,7 @@ export class Panel {
     this.#viewer?.clear();
     this.legend.show(null);
     this.#say("");
+    this.#tellOf(null);
   }
 
   /** Show a frame once it is here; a later call overtakes an earlier one. While playing, none waits for surfaces. */
@@ -216,7 +220,38 @@ export class Panel {
     return mesh.travel;
   }
 
-  /** Show the source until there is a frame. */
+  /**
+   * Show the shape that a job begins with, before the job itself has any particles.
+   *
+   * @param {object} job
+   * @param {object} config of it, which tells how the shape is filled.
+   */
+  async showShape({ source, target }, { sampling, placement }) {
+    if (this.#shapeAsked || this.#sourceAsked || this.frames.known) return;
+    this.#shapeAsked = true;
+    const turn = this.#turn;
+    const { points_per_cell_edge, fit } = sampling;
+    const query = { points_per_cell_edge, fit, placement: JSON.stringify(placement), target: target.mesh ?? target.shape };
+    try {
+      const { positions } = await particles(source, { query, signal: this.signal });
+      if (!this.source) await this.#showBeginning(positions, turn);
+    } catch (error) {
+      if (!this.signal.aborted && error.name !== "Problem") throw error; // the source will do
+    }
+  }
+
+  /** @returns {Promise<import("./viewer.js").Viewer | null>} null where it is too late for it. */
+  async #showBeginning(positions, turn) {
+    const viewer = await this.#ready;
+    if (turn !== this.#turn || this.frames.known) return null;
+    this.#begins = true;
+    viewer?.setSurface(null);
+    viewer?.setFrame(-1, positions);
+    this.describe();
+    return viewer;
+  }
+
+  /** Show the source until there is a frame, particle by particle. */
   async showSource() {
     if (this.#sourceAsked || this.frames.known) return;
     this.#sourceAsked = true;
@@ -226,14 +261,11 @@ export class Panel {
     } catch {
       return; // the first frame will do
     }
-    const viewer = await this.#ready;
-    if (turn !== this.#turn || this.frames.known) return;
-    viewer?.setSurface(null);
-    viewer?.setFrame(-1, this.source);
-    this.describe();
+    const viewer = await this.#showBeginning(this.source, turn);
+    if (!viewer) return;
     this.#showLandmarks();
     const own = this.display.colour === "own" ? await this.#ownColours() : null;
-    if (own && turn === this.#turn && !this.frames.known) viewer?.setParticleLight(own.after(0));
+    if (own && turn === this.#turn && !this.frames.known) viewer.setParticleLight(own.after(0));
   }
 
   /** Show the same frame in another way. */
@@ -253,18 +285,18 @@ export class Panel {
     if (turning) await this.#recolour();
   }
 
-  /** Say in words what is shown. */
+  /** Say what is shown: briefly below it, and how good it is to those who do not see it. */
   describe() {
     const metrics = this.metrics(this.index);
-    const parts = [`Frame ${this.index + 1} of ${this.total || this.frames.known}`];
+    const frame = `Frame ${this.index + 1} of ${this.total || this.frames.known}`;
+    const parts = [frame];
     if (metrics?.two_sided !== undefined) {
       parts.push(`Chamfer distance ${number(metrics.two_sided, 3)} dx`);
     }
     if (metrics?.coverage !== undefined) parts.push(`coverage ${percent(metrics.coverage).replace(" ", "\u00a0")}`);
-    const none = this.source ? "The source. No frame is finished yet." : "No frame is finished yet.";
-    const text = this.index < 0 ? none : `${parts.join(", ")}.`;
-    this.caption.textContent = text;
-    this.scene.querySelector("canvas")?.setAttribute("aria-label", text);
+    const none = this.#begins ? "The source. No frame is finished yet." : "No frame is finished yet.";
+    this.caption.textContent = this.index < 0 ? none : frame;
+    this.scene.querySelector("canvas")?.setAttribute("aria-label", this.index < 0 ? none : `${parts.join(", ")}.`);
   }
 
   /** Compute the range of colours again, as when more frames are known. */
@@ -324,7 +356,8 @@ export class Panel {
       turn !== this.#turn || this.signal.aborted || shape !== this.display.shape || look !== this.display.look;
     const held = shape === "surface" ? this.#heldSurface() : null;
     viewer.setSurface((this.#mesh = held));
-    this.#say(held ? about(held) : this.#absence());
+    this.#say(held ? "" : this.#absence());
+    this.#tellOf(held);
     await this.#paintColours(viewer, held, others);
     if (others() || shape !== "surface" || held || this.#playing || this.#waits) return;
     try {
@@ -333,7 +366,8 @@ export class Panel {
       const mesh = await this.#patiently("Computing the surface…", this.surfaces.get(this.index, this.#asked.signal));
       if (others()) return;
       viewer.setSurface((this.#mesh = mesh));
-      this.#say(about(mesh));
+      this.#say("");
+      this.#tellOf(mesh);
       await this.#paintColours(viewer, mesh, others);
     } catch (error) {
       if (!others() && error.name !== "AbortError") this.#say(`The surface is not available: ${error.message}`);
@@ -365,7 +399,7 @@ export class Panel {
       const [values, scale] = await this.#patiently("Computing the colours…", this.#coloured(colour));
       if (others() || colour !== this.display.colour) return;
       set(values, scale);
-      this.#say(mesh ? about(mesh) : this.#absence());
+      this.#say(mesh ? "" : this.#absence());
     } catch (error) {
       if (others() || error.name === "AbortError") return;
       set(null);
@@ -518,11 +552,15 @@ export class Panel {
     this.note.hidden = !text;
     fill(this.note, text);
   }
+
+  #tellOf(mesh) {
+    this.surfaceWords.textContent = mesh ? about(mesh) : "";
+  }
 }
 
 function about({ headers }) {
-  const mean = Number(headers.get("Morph-Deviation-Mean"));
   if (!headers.has("Morph-Deviation-Mean")) return "";
+  const mean = Number(headers.get("Morph-Deviation-Mean"));
   const closed = headers.get("Morph-Watertight") === "true" ? "Closed surface" : "Surface with holes";
   return `${closed}, ${number(mean, 2)} dx from the target on average.`;
 }

@@ -1,8 +1,9 @@
 /**
  * How finely is drawn: as finely as this machine manages in time, by what its own pictures took.
  *
- * Each level is tried once the one below it was quick enough to promise that. In motion a picture may take
- * 40 ms (25 a second), at rest 400 ms; where even a sketch takes longer, a sketch it is.
+ * Each level is tried once the one below it was quick enough to promise that. In motion a graphics card may take
+ * 18 ms for a picture (50 a second and time to show it), a processor 40 ms (25 a second); at rest either may take
+ * 400 ms. Where even a sketch takes longer, a sketch it is.
  */
 
 /** From quick to fine; `growth` is how much longer than the level below it may take. */
@@ -12,7 +13,8 @@ export const LEVELS = [
   { name: "full", label: "Full", growth: 4 }, // with ambient occlusion, refraction, fine pixels
 ];
 
-const BUDGET = { moving: 40, still: 400 }; // [ms]
+const MOVING = { card: 18, processor: 40 }; // [ms]
+const STILL = 400;
 const SAMPLES = 3; // of which the quickest counts, as the first one compiles
 const AGAIN = 30; // one picture in so many is measured once enough is known
 
@@ -21,15 +23,17 @@ export class Quality {
   #times = new Map();
   #drawn = 0;
 
-  constructor() {
+  /** @param {boolean} software whether the processor draws, as there is no graphics card. */
+  constructor(software) {
     this.chosen = "auto";
+    this.budget = { moving: software ? MOVING.processor : MOVING.card, still: STILL };
   }
 
   /** @returns {number} the level for a picture of a kind of thing, in motion or at rest. */
   level(kind, motion) {
     if (this.chosen !== "auto") return LEVELS.findIndex(({ name }) => name === this.chosen);
     let level = 0;
-    while (level + 1 < LEVELS.length && this.#expected(kind, level + 1) <= BUDGET[motion]) level += 1;
+    while (level + 1 < LEVELS.length && this.#expected(kind, level + 1) <= this.budget[motion]) level += 1;
     return level;
   }
 

@@ -3,7 +3,9 @@ import { h } from "../dom.js";
 import { icon, iconButton } from "../icons.js";
 
 const RATES = [4, 8, 12, 24, 48];
-const USUAL_RATE = 12;
+
+/** Frames a second at which a job is played until somebody chooses otherwise. */
+export const USUAL_RATE = 12;
 
 /** A timeline; it follows the newest frame until the user chooses one. */
 export class Timeline {

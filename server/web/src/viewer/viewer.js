@@ -98,7 +98,7 @@ export class Viewer {
     this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true, stencil: true });
     this.renderer.toneMapping = NeutralToneMapping;
     this.renderer.localClippingEnabled = true;
-    this.quality = new Quality();
+    this.quality = new Quality(software);
     this.canvas.setAttribute("role", "img");
     element.append(this.canvas);
 
@@ -382,11 +382,11 @@ export class Viewer {
     this.resize();
   }
 
-  /** Width and height that nothing covers, at least a quarter of each [pixels]. */
+  /** Width and height that nothing covers, at least an eighth of each [pixels]. */
   get #free() {
     const { clientWidth: width, clientHeight: height } = this.element;
     const { top, right, bottom } = this.#covered;
-    return [Math.max(width - right, width / 4), Math.max(height - top - bottom, height / 4)];
+    return [Math.max(width - right, width / 8), Math.max(height - top - bottom, height / 8)];
   }
 
   /** @returns {number} from where all of a ball is in sight [grid units]. */

@@ -8,6 +8,7 @@ import { jobName, lives, state as word } from "../../format.js";
 import { setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
 import { COLOURS } from "../../viewer/colors.js";
+import { watchCovered } from "../../viewer/covered.js";
 import { Display } from "../../viewer/display.js";
 import { Panel } from "../../viewer/panel.js";
 import { stage } from "../../viewer/stage.js";
@@ -78,12 +79,25 @@ export async function show(root, { jobs: wanted = "" }, signal) {
   const views = h(
     "div",
     { class: `compare-views of-${ids.length}` },
-    panels.map((panel, i) => h("section", { "aria-label": jobName(jobs[i]) }, heads[i], panel.element)),
+    panels.map((panel, i) =>
+      h("section", { "aria-label": jobName(jobs[i]) }, h("div", { class: "compare-top" }, heads[i]), panel.element),
+    ),
   );
+  panels.forEach((panel, i) => {
+    const bars = [heads[i].parentElement, panel.legend.element, panel.caption];
+    watchCovered(panel, bars.map((bar) => [bar]), signal, () => links.refit());
+  });
   const metrics = [
     h("h2", null, "Metrics"),
     h("p", { class: "quiet small" }, "Differences are to the first job; the best of each row is bold."),
     differences,
+    h(
+      "dl",
+      { class: "stack small" },
+      panels.map((panel, i) =>
+        h("div", null, h("dt", null, h("i", { class: `swatch series-${i + 1}` }), jobName(jobs[i])), h("dd", null, panel.surfaceWords)),
+      ),
+    ),
   ];
   const sheets = [
     { name: "metrics", title: "Metrics", content: metrics },
@@ -166,7 +180,7 @@ function head(element, job, i) {
       "p",
       { class: "small quiet row" },
       h("span", { class: `badge ${job.state}` }, word(job.state)),
-      `method ${job.method}`,
+      h("span", { class: "method" }, `method ${job.method}`),
     ),
   );
   if (focused) element.querySelector("a").focus();

@@ -6,6 +6,7 @@ export class Links {
     this.panels = [];
     this.known = "";
     this.scale = null;
+    this.framed = false; // whether everything is in sight, as nobody has moved the camera since
   }
 
   /** Take a panel in. */
@@ -16,6 +17,7 @@ export class Links {
 
   /** Give the camera of one panel to the others. */
   async look(panel, view) {
+    this.framed = false;
     for (const other of this.panels) {
       if (other === panel) continue;
       const viewer = await other.viewer;
@@ -25,10 +27,16 @@ export class Links {
 
   /** Everything in sight again; what the first panel sees, all see. */
   async reset() {
+    this.framed = true;
     const viewers = (await Promise.all(this.panels.map((panel) => panel.viewer))).filter(Boolean);
     for (const viewer of viewers) viewer.reset();
     const widest = viewers.reduce((a, b) => (a.distance > b.distance ? a : b), viewers[0]);
     for (const viewer of viewers) viewer.view = widest.view; // from now on none fits itself alone
+  }
+
+  /** Have everything in sight where more or less of the views is covered than before. */
+  refit() {
+    if (this.framed) this.reset();
   }
 
   /** The range of the present colouring over all panels, measured once for what is known. */

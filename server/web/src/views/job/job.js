@@ -53,6 +53,7 @@ export async function show(root, { id }, signal) {
   const pace = new Pace({ jobId: id, timeline, signal: there });
   display.element.append(pace.element);
   const summary = new Summary({ changed: () => changed(), signal });
+  summary.figures.after(panel.surfaceWords);
   const sharing = shared() ? null : new Sharing({ jobId: id, signal });
   const history = new History();
   const downloads = new Downloads({ jobId: id, panel, timeline, pace, signal });
@@ -67,6 +68,10 @@ export async function show(root, { id }, signal) {
     panel.frames.look(index);
     grow(progress.frame);
     timeline.go(index);
+  };
+  let config = null;
+  const showShape = (job) => {
+    if (config && !shared() && lives(job.state) && !job.progress.frame) panel.showShape(job, config);
   };
   let known = null;
   const onJob = (job) => {
@@ -83,6 +88,7 @@ export async function show(root, { id }, signal) {
     panel.plan(job);
     if (["preparing", "computing"].includes(job.progress.stage)) panel.showSource();
     if (job.progress.frame === 0 && panel.frames.known) onAnew();
+    showShape(job);
     grow(job.progress.frame);
   };
   const grow = (count) => {
@@ -149,8 +155,9 @@ export async function show(root, { id }, signal) {
   );
   watch.run().catch(gone);
   try {
-    const config = await get(`/jobs/${id}/config`, { signal });
+    config = await get(`/jobs/${id}/config`, { signal });
     panel.setConfig(config);
+    showShape(watch.job);
     const marked = inGridUnits(job, config);
     if (marked.length) {
       const list = landmarks(marked);

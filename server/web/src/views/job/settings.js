@@ -72,7 +72,7 @@ function table(caption, rows, usual) {
           h(
             "tr",
             null,
-            h("th", { scope: "row" }, h("code", null, name)),
+            h("th", { scope: "row" }, h("code", null, breakable(name))),
             h("td", null, value),
             usual && h("td", { class: "quiet" }, usual.get(name)),
           ),
@@ -80,6 +80,11 @@ function table(caption, rows, usual) {
       ),
     ),
   );
+}
+
+/** A path that may go on in the next line after a dot or an underscore. */
+function breakable(path) {
+  return path.split(/(?<=[._])/).flatMap((part) => [part, h("wbr")]);
 }
 
 function text(value) {

@@ -219,7 +219,7 @@ function table(body) {
         head("Morph"),
         head("State"),
         head("Progress"),
-        head(h("abbr", { title: "Two-sided Chamfer distance in grid units" }, "CD"), {
+        head(h("abbr", { title: "How much of the target the matter fills in the end" }, "Filled"), {
           class: "number",
         }),
         head(h("span", { class: "visually-hidden" }, "Actions")),

@@ -2,7 +2,7 @@
 
 import { picture } from "../../api.js";
 import { fill, h, redraw, svg } from "../../dom.js";
-import { ago, duration, jobName, number, plural, state as stateWord } from "../../format.js";
+import { ago, duration, jobName, percent, plural, state as stateWord } from "../../format.js";
 import { actions } from "./actions.js";
 
 const PICTURE_PAUSE = 3000; // [ms] at least between two pictures of a job that runs
@@ -19,7 +19,7 @@ export class Row {
       name: h("td", { role: "cell", class: "name" }),
       state: h("td", { role: "cell", class: "state" }),
       progress: h("td", { role: "cell", class: "progress" }),
-      distance: h("td", { role: "cell", class: "number distance" }),
+      quality: h("td", { role: "cell", class: "number quality" }),
       actions: h("td", { role: "cell", class: "job-actions" }),
     };
     this.element = h(
@@ -30,7 +30,7 @@ export class Row {
       this.cells.name,
       this.cells.state,
       this.cells.progress,
-      this.cells.distance,
+      this.cells.quality,
       this.cells.actions,
     );
     this.drawn = {};
@@ -44,10 +44,10 @@ export class Row {
       h("span", { class: `badge ${job.state}` }, stateWord(job.state)),
     );
     this.draw("progress", [job.state, job.progress, job.queue_position, job.paused], () => progress(job));
-    const metrics = job.outcome?.metrics ?? job.progress.metrics ?? {};
-    this.draw("distance", [metrics.two_sided], () =>
-      Number.isFinite(metrics.two_sided)
-        ? [h("span", { class: "label" }, "CD "), number(metrics.two_sided)]
+    const filled = job.outcome?.metrics.cover;
+    this.draw("quality", [filled], () =>
+      Number.isFinite(filled)
+        ? [percent(filled), h("span", { class: "label" }, " filled")]
         : h("span", { class: "quiet" }, "–"),
     );
     this.draw("actions", [job.state], () => actions(job, this.changed));

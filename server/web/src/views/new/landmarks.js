@@ -4,7 +4,7 @@ import { fill, h } from "../../dom.js";
 import { markColour } from "../../viewer/mark_colours.js";
 
 const MOST = 64; // that the service takes
-const DIGITS = 9; // of a coordinate that is picked
+const DIGITS = 6; // of a coordinate that is picked
 const ENDS = ["source", "target"];
 
 /** The list of landmarks, and how they are picked: a click in one picture, and one in the other. */

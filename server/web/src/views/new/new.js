@@ -3,11 +3,11 @@
 import { get, post } from "../../api.js";
 import { choice, offer } from "../../choice.js";
 import { fill, h, reveal } from "../../dom.js";
-import { bytes, duration, plural } from "../../format.js";
+import { bytes, duration, number } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
-import { TITLES } from "../../setting_titles.js";
+import { TITLES, learnTitles } from "../../setting_titles.js";
 import { Chooser } from "./chooser.js";
 import { fromJob, fromQuery, settingsOf, toQuery, toRequest } from "./draft.js";
 import { Methods } from "./methods.js";
@@ -15,6 +15,7 @@ import { AS_IT_IS, posesOf } from "./pose.js";
 import { Landmarks } from "./landmarks.js";
 import { research } from "./research.js";
 import { methodsWith, settings } from "./schema.js";
+import { Seconds, secondsOf } from "./seconds.js";
 import { Settings } from "./settings.js";
 import "./new.css";
 
@@ -34,6 +35,7 @@ const MATTER = [
   ["fluid", "A drop"],
 ];
 const OTHER = ["", "As under Research"];
+const FRAMES = "frames";
 const LANDMARKS = "landmarks";
 const FIRST_BETWEEN = { shape: "torus" };
 const MOST_BETWEEN = 8; // the service takes more
@@ -89,8 +91,11 @@ class Form {
     this.landmarks = new Landmarks(this.source, this.target, (landmarks) => this.set(LANDMARKS, landmarks));
     this.marking = methodsWith(LANDMARKS, schema);
     this.methods = new Methods(methods, (names) => this.changed({ methods: names }));
-    this.settings = new Settings(settings(schema), TITLES, (path, value) => this.set(path, value));
+    const abouts = settings(schema);
+    learnTitles(abouts);
+    this.settings = new Settings(abouts, TITLES, (path, value) => this.set(path, value));
     this.preset = this.presetField(presets);
+    this.seconds = new Seconds(schema.properties[FRAMES].maximum, (frames) => this.set(FRAMES, frames));
     const taken = (path, number) => ({ target }) => target.value && this.set(path, number(target.value));
     this.fineness = choice("fineness", "Fineness", [...FINENESS, OTHER], { change: taken(EDGE, Number) });
     const matter = ({ target }) => target.value && this.changed({ preset: target.value });
@@ -122,7 +127,7 @@ class Form {
           { class: "grid" },
           this.matter.field,
           this.fineness.field,
-          this.settings.main.frames,
+          this.seconds.element,
           h(
             "div",
             { class: "field" },
@@ -135,7 +140,7 @@ class Form {
       (this.research = research(
         this.methods.element,
         h("h3", null, "Run"),
-        h("div", { class: "grid" }, this.preset.element, this.settings.main[EDGE], this.settings.main[FIT]),
+        h("div", { class: "grid" }, this.preset.element, this.settings.main[FRAMES], this.settings.main[EDGE], this.settings.main[FIT]),
         this.settings.element,
       )),
       this.trouble,
@@ -186,7 +191,8 @@ class Form {
     if (document.activeElement !== this.name) this.name.value = name;
     const jobs = methods.length;
     fill(this.submit, jobs === 1 ? "Morph" : `Morph with ${jobs} methods`);
-    this.showCost(source, edge, fit, value("frames") * (via.length + 1));
+    this.seconds.show(value(FRAMES), via.length + 1);
+    this.showCost(source, edge, fit, value(FRAMES) * (via.length + 1));
   }
 
   /** A card for each shape between source and target, as many as the draft has. */
@@ -336,8 +342,8 @@ class Form {
     const { seconds, memory_mb: memory } = seen.estimate;
     fill(
       this.cost,
-      `Usually about ${duration(seconds)} for 40 frames, and ${bytes(memory * 1e6)} of memory`,
-      frames === 40 ? "." : `; you ask for ${plural(frames, "frame")}.`,
+      `Usually ready in about ${duration(seconds)} if it lasts ${number(secondsOf(40), 2)} s, with ${bytes(memory * 1e6)} of memory`,
+      frames === 40 ? "." : `; yours lasts ${number(secondsOf(frames), 2)} s.`,
     );
   }
 
@@ -349,7 +355,7 @@ class Form {
       const words = "A morph through several shapes takes one method: choose one, or remove the shapes between.";
       return fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, words));
     }
-    const { wrong } = this.settings;
+    const wrong = this.seconds.wrong ? this.seconds : this.settings.wrong;
     if (wrong) {
       reveal(wrong.element);
       return wrong.input.focus();
@@ -382,7 +388,7 @@ function isPlain({ methods, preset, overrides }, usual) {
     among(MATTER, preset) &&
     Object.entries(overrides).every(([path, value]) => {
       if (path === EDGE) return among(FINENESS, value);
-      return path === "frames" || path === LANDMARKS || path.startsWith("placement.");
+      return path === FRAMES || path === LANDMARKS || path.startsWith("placement.");
     })
   );
 }

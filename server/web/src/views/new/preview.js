@@ -1,6 +1,6 @@
 /** The particles of a shape before they move. */
 
-import { points } from "../../api.js";
+import { particles } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
 import { problemNotice } from "../../problem_notice.js";
@@ -133,11 +133,8 @@ export class Preview {
   }
 
   async ask(shape, query, signal) {
-    const path = shape.mesh
-      ? `/meshes/${shape.mesh}/particles`
-      : `/shapes/${encodeURIComponent(shape.shape)}/particles`;
     try {
-      const { positions, count, headers } = await points(path, { query, signal });
+      const { positions, count, headers } = await particles(shape, { query, signal });
       fill(this.count, plural(count, "particle"));
       const warnings = JSON.parse(headers.get("Morph-Warnings") ?? "[]");
       fill(this.warnings, warnings.map((text) => h("p", { class: "notice warn" }, text)));
