@@ -146,8 +146,8 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
 
 @pytest.mark.parametrize(
     ("scale", "suffix", "method"),
-    [(0.001, ".glb", "dco"), (1.0, ".obj", None), (1000.0, ".stl", "dco")],
-    ids=["mm", "m-default", "km"],
+    [(0.001, ".glb", "dco"), (1.0, ".obj", "dco"), (1000.0, ".stl", "dco")],
+    ids=["mm", "m", "km"],
 )
 def test_meshes_of_any_unit_come_back_where_they_were(
     service, page, tmp_path, scale, suffix, method
@@ -159,7 +159,7 @@ def test_meshes_of_any_unit_come_back_where_they_were(
     z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     turn = z_up if suffix == ".stl" else np.eye(3)
     ends = {"source": ("From", "heart"), "target": ("To", "teapot")}
-    page.goto(f"/new?methods={method}" if method else "/new")
+    page.goto(f"/new?methods={method}")
     for role, (label, name) in ends.items():
         shape = make(name)
         vertices = (shape.vertices @ turn.T + [40.0, -90.0, 3.0]) * scale
