@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
 NOT_TESTED = "# not tested: "
 CODE = {"bash", "python", "json"}
-CONFIGURATION = {"ini", "nginx"}
+CONFIGURATION = {"ini", "nginx", "yaml"}
 RUN_AS_A_WHOLE = {"tutorial.md", "paraview.md", "blender.md"}
 """Pages whose commands are cheap enough to be run."""
 

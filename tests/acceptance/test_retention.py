@@ -79,9 +79,6 @@ def test_a_deletion_that_breaks_off(cluster, monkeypatch):
         storage.claim(job, 0)
         queue.cancel(job)
 
-    def stop(*_):
-        raise SystemExit
-
     for job, owner, name in ((gone, storage, "remove_job"), (kept, queue, "delete_finished")):
         with monkeypatch.context() as patch, pytest.raises(SystemExit):
             patch.setattr(owner, name, stop)  # killed here
@@ -114,9 +111,10 @@ def test_nothing_goes_for_its_age_while_the_clock_is_doubted(cluster, monkeypatc
     sizes, deletions = JobSizes(engine, queue, storage), Deletions(engine, queue, storage)
     job = cluster.submit()
     storage.claim(job, 0)
+    queue.cancel(job)
     monkeypatch.setattr(storage, "remove_job", stop)
     with pytest.raises(SystemExit):
-        deletions.delete(job)
+        deletions.delete(queue.get(job))
     monkeypatch.undo()
     upload = storage.uploads / "old.part"
     upload.touch()

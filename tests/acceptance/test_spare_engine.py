@@ -72,8 +72,8 @@ def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
     cluster.wait_until(lambda: not engine.is_running(), "the used engine to end")
     following = spare_of(cluster, worker)
     assert following != engine
-    likely = json.loads(following.cmdline()[-1])
-    assert likely["method"] == "joint"  # as that of the first job
+    *_, likely, _ = following.cmdline()
+    assert json.loads(likely)["method"] == "joint"  # as that of the first job
     second = cluster.submit()
     assert cluster.engine(worker) == following
     cluster.wait_for_state(second, JobState.SUCCEEDED)
