@@ -259,7 +259,7 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
         drop(page, file)
         expect(from_card).to_contain_text(f"{file.name}:")
         wait_for_particles(page)
-        expect(page.get_by_text("Usually about")).to_be_visible()
+        expect(page.get_by_text("Usually ready in about")).to_be_visible()
 
     page.goto("/new")
     wait_for_particles(page)

@@ -22,14 +22,15 @@ export class Seconds {
       "aria-describedby": "seconds-hint seconds-fault",
       on: { change: () => this.#read() },
     });
+    const words = "From the first shape to the last; it can be played in other times, too.";
+    this.hint = h("p", { class: "hint", id: "seconds-hint" }, words);
     this.trouble = h("p", { class: "fault", id: "seconds-fault", role: "alert" });
     this.element = h(
       "div",
       { class: "field" },
       h("label", { for: "seconds" }, "Lasts", h("span", { class: "quiet unit" }, " [s]")),
       this.input,
-      h("p", { class: "hint", id: "seconds-hint" }, "From the first shape to the last; it can be played in other times, too."),
-      this.trouble,
+      h("div", { class: "hint-or-fault" }, this.hint, this.trouble),
     );
   }
 
@@ -45,6 +46,7 @@ export class Seconds {
     const most = secondsOf(this.mostFrames * this.#legs);
     this.wrong = !(seconds > 0 && seconds <= most);
     this.input.setAttribute("aria-invalid", String(this.wrong));
+    this.hint.style.visibility = this.wrong ? "hidden" : "";
     fill(this.trouble, this.wrong && `Give a number of seconds above 0, at most ${Math.floor(most)}.`);
     if (!this.wrong) this.changed(Math.max(1, Math.round((seconds * USUAL_RATE) / this.#legs)));
   }
