@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.comparison import Row, limit
 from morph_engine import spans
-from morph_engine.cost import estimate
+from morph_engine.cost import estimate_run
 from morph_engine.morphing import prepare, run
 from morph_engine.peak_memory import peak_memory
 from morph_engine.presets import configure
@@ -112,11 +112,6 @@ def computed(points: int) -> Job:
             for frame in run(record, device="cpu", out=Path(folder) / "job.vtkhdf")
         )
     whole = time.perf_counter() - began
-    targets = len(record.target_points)
-    nodes = config.method.node_count(
-        record.config, radius=record.radius, ratio=targets / record.particle_count
-    )
-    expected = estimate(record.particle_count, targets, len(frames), nodes=nodes).memory_mb
     between = frames[1:-1]
     return Job(
         particles=record.particle_count,
@@ -126,7 +121,7 @@ def computed(points: int) -> Job:
         frame=mean(wall for wall, _ in between),
         particle=1e6 * mean(cpu for _, cpu in between) / record.particle_count,
         memory=peak_memory() / GIGABYTE,
-        expected=expected / 1000,
+        expected=estimate_run(record).memory_mb / 1000,
     )
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydantic import BaseModel, Field
 
 from morph_engine.machine_cores import usable_cores
 from morph_engine.methods.registry import DEFAULT_METHOD, options_of
+
+if TYPE_CHECKING:
+    from morph_engine.results.run_record import RunRecord
 
 STARTUP_SECONDS = 4.0
 MEGABYTES_AT_REST = 240.0
@@ -56,4 +61,27 @@ def estimate(
         + kilobytes / 1024
         + rates.bytes_per_node * nodes / 1e6
         + result_mb,
+    )
+
+
+def estimate_run(run: RunRecord, *, threads: int | None = None) -> Estimate:
+    """Estimate the cost of a run whose shapes are known, of all its legs.
+
+    Args:
+        run: What it is made of.
+        threads: CPU threads; all of this machine's if not given.
+    """
+    legs = [run.leg(k) for k in range(run.leg_count)]
+    counts = [len(leg.target_points) for leg in legs]
+    method = run.config.method
+    return estimate(
+        run.particle_count,
+        max(counts),
+        run.planned_frames,
+        method=method.name,
+        threads=threads,
+        nodes=max(
+            method.node_count(leg.config, radius=leg.radius, ratio=count / run.particle_count)
+            for leg, count in zip(legs, counts, strict=True)
+        ),
     )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from morph_engine import backend, kept_results, methods
 from morph_engine.config import MorphConfig
-from morph_engine.cost import estimate
+from morph_engine.cost import estimate_run
 from morph_engine.device import Device
 from morph_engine.errors import ConfigError, MeshError, ResourceError, SimulationError
 from morph_engine.geometry.mesh import Mesh
@@ -250,22 +250,7 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     Raises:
         ResourceError: Not enough memory or disk.
     """
-    config = record.config
-    frames, legs = record.planned_frames, [record.leg(k) for k in range(record.leg_count)]
-    need = estimate(
-        record.particle_count,
-        max(len(leg.target_points) for leg in legs),
-        frames,
-        method=config.method.name,
-        nodes=max(
-            config.method.node_count(
-                leg.config,
-                radius=leg.radius,
-                ratio=len(leg.target_points) / record.particle_count,
-            )
-            for leg in legs
-        ),
-    )
+    need = estimate_run(record)
     free = free_memory() / MEGABYTE
     if need.memory_mb > free:
         raise ResourceError(
@@ -278,7 +263,7 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     if not folder.is_dir():
         raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another `out`.")
     # The frames lie on the disk twice while the result is assembled.
-    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * frames / MEGABYTE + 10
+    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * record.planned_frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(

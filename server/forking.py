@@ -6,7 +6,6 @@ Its folder is complete before it is in the queue, so that it needs the other job
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from chamfer_morph.schemas import ForkOrigin, ForkRequest
 from chamfer_morph.schemas.ids import new_id
@@ -20,15 +19,12 @@ from chamfer_morph.server.submission import (
     idempotency_conflict,
     idempotent_id,
 )
+from chamfer_morph.worker.frame_reader import read_run_record
 from chamfer_morph.worker.kept_states import find_state
 from chamfer_morph.worker.queue import JobRecord
-from chamfer_morph.worker.settings import Settings
-from morph_engine.cost import estimate
+from morph_engine.cost import estimate_run
 from morph_engine.errors import DamagedError, ResultError
 from morph_engine.results.fork import begin_fork, forked_config
-from morph_engine.results.run_record import RunRecord
-from morph_engine.results.spool import SpoolReader
-from morph_engine.results.trajectory import Trajectory
 
 
 def fork(
@@ -91,8 +87,11 @@ def _begin(
     except ResultError as error:
         raise ProblemError(409, error.cause, error.remedy) from error
     config = forked_config(job.spec.config, request.overrides, state.frame)
-    run = replace(_run_of(storage.result_path(job.id)), config=config)
-    check_memory(_memory_mb(run, context.settings), context.settings)
+    begun = read_run_record(storage.result_path(job.id))
+    assert begun, "it has a state"
+    run = replace(begun, config=config)
+    expected = estimate_run(run, threads=context.settings.threads or None)
+    check_memory(expected.memory_mb, context.settings)
     limit = context.settings.job_timeout_seconds
     spec = job.spec.model_copy(
         update={
@@ -129,32 +128,3 @@ def _begin(
             "estimate": job.estimate * share,
         },
     )
-
-
-def _run_of(result: Path) -> RunRecord:
-    """What a run is made of, finished or not.
-
-    Raises:
-        ResultError: It is damaged.
-    """
-    spool = SpoolReader(result)
-    if spool.exists:
-        return spool.run
-    with Trajectory(result) as trajectory:
-        return trajectory.run
-
-
-def _memory_mb(run: RunRecord, settings: Settings) -> float:
-    """Memory that a run of one leg will take [MB]."""
-    leg, particles, targets = run.leg(0), run.particle_count, len(run.target_points)
-    method = leg.config.method
-    nodes = method.node_count(leg.config, radius=leg.radius, ratio=targets / particles)
-    expected = estimate(
-        particles,
-        targets,
-        leg.config.frames,
-        method=method.name,
-        threads=settings.threads or None,
-        nodes=nodes,
-    )
-    return expected.memory_mb

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 import sqlalchemy as sa
 
 from chamfer_morph.worker.dbos_adapter import database
+from chamfer_morph.worker.locks import lock_transaction
 from chamfer_morph.worker.settings import Settings
 from morph_engine.files import wait_for
 
@@ -40,8 +41,7 @@ class MeshLocks:
                 connection = stack.enter_context(self._engine.begin())
                 connection.execute(sa.text("set local idle_in_transaction_session_timeout = 0"))
                 for digest in ordered:
-                    number = sa.func.hashtextextended(f"morph mesh {digest}", 0)
-                    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(number)))
+                    lock_transaction(connection, f"morph mesh {digest}")
             yield
 
     def close(self) -> None:

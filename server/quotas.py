@@ -6,7 +6,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.reservations import Reservation, Reservations
@@ -115,16 +116,15 @@ class Quotas:
         """
         self.check_disk(owner, needed_bytes)
         limit = self._settings.queued_jobs_per_key
-        with self._reservations.reserving(
-            "jobs", owner, adding, limit, lambda: self._queue.unfinished(owner)
-        ) as reserved:
-            if reserved.refused:
-                cause = f"This key has {reserved.there} unfinished jobs, and may have {limit}."
-                raise _refusal(429, cause, "Wait for some to finish, or cancel them.")
+        cause = "This key has {there} unfinished jobs, and may have {limit}."
+        remedy = "Wait for some to finish, or cancel them."
+        there = partial(self._queue.unfinished, owner)
+        with self._letting_in("jobs", owner, adding, limit, there, cause, remedy) as reserved:
             yield reserved.release_one
 
-    @contextmanager
-    def letting_in_webhook(self, owner: str, count: Callable[[], int]) -> Iterator[None]:
+    def letting_in_webhook(
+        self, owner: str, count: Callable[[], int]
+    ) -> AbstractContextManager[Reservation]:
         """Refuse more webhooks than a key may have.
 
         Args:
@@ -134,15 +134,14 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
+        cause = "This key has {there} webhooks, and may have {limit}."
+        remedy = "Delete those that are not needed any more."
         limit = self._settings.webhooks_per_key
-        with self._reservations.reserving("webhooks", owner, 1, limit, count) as reserved:
-            if reserved.refused:
-                cause = f"This key has {reserved.there} webhooks, and may have {limit}."
-                raise _refusal(429, cause, "Delete those that are not needed any more.")
-            yield
+        return self._letting_in("webhooks", owner, 1, limit, count, cause, remedy)
 
-    @contextmanager
-    def letting_in_share_link(self, job_id: str, count: Callable[[], int]) -> Iterator[None]:
+    def letting_in_share_link(
+        self, job_id: str, count: Callable[[], int]
+    ) -> AbstractContextManager[Reservation]:
         """Refuse more share links than a job may have.
 
         Args:
@@ -152,15 +151,13 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
-        limit = SHARE_LINKS
-        with self._reservations.reserving("share links", job_id, 1, limit, count) as reserved:
-            if reserved.refused:
-                cause = f"This job has {reserved.there} share links, and may have {limit}."
-                raise _refusal(429, cause, "Revoke those that are not needed any more.")
-            yield
+        cause = "This job has {there} share links, and may have {limit}."
+        remedy = "Revoke those that are not needed any more."
+        return self._letting_in("share links", job_id, 1, SHARE_LINKS, count, cause, remedy)
 
-    @contextmanager
-    def letting_in_test(self, webhook_id: str, count: Callable[[], int]) -> Iterator[None]:
+    def letting_in_test(
+        self, webhook_id: str, count: Callable[[], int]
+    ) -> AbstractContextManager[Reservation]:
         """Refuse more tests of a webhook than may wait for their delivery.
 
         Args:
@@ -170,12 +167,9 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
-        limit = PENDING_TESTS
-        with self._reservations.reserving("tests", webhook_id, 1, limit, count) as reserved:
-            if reserved.refused:
-                cause = f"{reserved.there} tests of this webhook wait, as many as may."
-                raise _refusal(429, cause, "Wait until they are delivered or given up.")
-            yield
+        cause = "{there} tests of this webhook wait, as many as may."
+        remedy = "Wait until they are delivered or given up."
+        return self._letting_in("tests", webhook_id, 1, PENDING_TESTS, count, cause, remedy)
 
     @contextmanager
     def letting_in_meshes(self, owner: str, adding: int = 1) -> Iterator[Incoming]:
@@ -271,6 +265,23 @@ class Quotas:
             used = self._measured_bytes(owner)
             self._disk[owner] = (time.monotonic(), used)
         return used
+
+    @contextmanager
+    def _letting_in(
+        self,
+        kind: str,
+        key: str,
+        adding: int,
+        limit: int,
+        count: Callable[[], int],
+        cause: str,
+        remedy: str,
+    ) -> Iterator[Reservation]:
+        """Keep places, see `Reservations`; without room, the problem has this cause and remedy."""
+        with self._reservations.reserving(kind, key, adding, limit, count) as reserved:
+            if reserved.refused:
+                raise _refusal(429, cause.format(there=reserved.there, limit=limit), remedy)
+            yield reserved
 
     def _measured_bytes(self, owner: str) -> int:
         return self._meshes.totals(owner)[1] + self._sizes.of(owner)

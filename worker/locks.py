@@ -74,6 +74,16 @@ def living(settings: Settings, engine: sa.Engine, executors: Collection[str]) ->
     return {executor for executor in executors if _number(executor) % (1 << 64) in held}
 
 
+def lock_transaction(connection: sa.Connection, name: str) -> None:
+    """Let no other transaction that asks for this name go on before this one has ended.
+
+    Only Postgres needs it: SQLite has one writer anyway.
+    """
+    if connection.dialect.name == "postgresql":
+        number = sa.func.hashtextextended(name, 0)
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(number)))
+
+
 class FileLock:
     """A lock on an open file."""
 

@@ -16,6 +16,7 @@ import sqlalchemy as sa
 from chamfer_morph.schemas import JobState
 from chamfer_morph.worker.dbos_adapter import WorkflowTable
 from chamfer_morph.worker.job_state import statuses
+from chamfer_morph.worker.locks import lock_transaction
 from chamfer_morph.worker.places import apart, in_own_order, rank_in_front
 
 WORKFLOW = "morph"
@@ -134,9 +135,7 @@ class OwnQueue:
     def _giving_places(self, owner: str) -> Iterator[sa.Connection]:
         """A transaction that gives places to jobs of an owner, one at a time for each of them."""
         with self._workflows.begin() as connection:
-            if connection.dialect.name == "postgresql":  # SQLite has one writer anyway
-                lock = sa.func.hashtextextended(f"morph places {owner}", 0)
-                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(lock)))
+            lock_transaction(connection, f"morph places {owner}")
             yield connection
 
     def _move(self, owner: str, queue: str) -> None:

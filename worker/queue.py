@@ -478,11 +478,6 @@ class JobQueue:
         with suppress(OSError, StoreUnavailableError):  # its worker does it, else
             self._storage.discard_if_marked(job_id, wait_seconds=0)
 
-    def delete(self, job_id: str) -> None:
-        """Forget a job; its files are for `Storage.remove_job`."""
-        self._client.delete_workflow(job_id)
-        self._cache.pop(job_id, None)
-
     def delete_finished(self, job: JobRecord) -> bool:
         """Forget a job that is finished as when its record was read; False if it has changed."""
         c = self._table.c

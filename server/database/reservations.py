@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import sqlalchemy as sa
 
 from chamfer_morph.server.database.tables import ReservationRow, now
+from chamfer_morph.worker.locks import lock_transaction
 
 LIFETIME_SECONDS = 3600.0
 """After this a reservation counts no more, unless it was renewed: its API was killed."""
@@ -64,9 +65,7 @@ class Reservation:
         expires_at = now() + round(LIFETIME_SECONDS * 1e6)
         # who waits for the database's lock holds a connection, and the one who has it needs another
         with self._one_at_a_time, self._engine.begin() as connection:
-            if connection.dialect.name == "postgresql":
-                lock = sa.func.hashtextextended(f"morph {self._kind} {self._owner}", 0)
-                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(lock)))
+            lock_transaction(connection, f"morph {self._kind} {self._owner}")
             # SQLite locks at the first statement that writes
             connection.execute(sa.delete(row).where(row.expires_at < now()))
             longer = sa.update(row).where(row.id == self._id).values(expires_at=expires_at)

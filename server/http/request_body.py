@@ -72,12 +72,12 @@ class BodyLimitMiddleware:
                 with anyio.fail_after(min(self.timeout_seconds, left)):
                     message = await receive()
             except TimeoutError:
-                late = left < self.timeout_seconds
+                cause = f"Nothing has come for {self.timeout_seconds:g} s."
+                if left < self.timeout_seconds:
+                    cause = f"Not all has come within {self.deadline_seconds:g} s."
                 raise ProblemError(
                     408,
-                    f"Not all has come within {self.deadline_seconds:g} s."
-                    if late
-                    else f"Nothing has come for {self.timeout_seconds:g} s.",
+                    cause,
                     "Send it again, over a steadier connection.",
                     headers={"Connection": "close"},
                 ) from None

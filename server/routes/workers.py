@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -46,21 +46,22 @@ def unpause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerSta
 
 def worker_statuses(context: ServerContext) -> list[WorkerStatus]:
     """What each slot does, by name; with those that have ended, and whose jobs nobody has yet."""
-    slots = context.worker_slots.all()
-    names = sorted({*slots, *context.queue.running()})
-    return _statuses({name: slots.get(name, False) for name in names}, context)
+    slots, running = context.worker_slots.all(), context.queue.running()
+    names = sorted({*slots, *running})
+    return _statuses({name: slots.get(name, False) for name in names}, running, context)
 
 
 def _pause(name: str, paused: bool, context: ServerContext) -> WorkerStatus:
     if name not in context.worker_slots.all():
         raise not_found("worker slot", name)
     context.worker_slots.pause(name, paused)
-    return _statuses({name: paused}, context)[0]
+    return _statuses({name: paused}, context.queue.running(), context)[0]
 
 
-def _statuses(paused: Mapping[str, bool], context: ServerContext) -> list[WorkerStatus]:
-    """What some slots do, of which it is known whether they are paused."""
-    running = context.queue.running()
+def _statuses(
+    paused: Mapping[str, bool], running: Mapping[str, Collection[str]], context: ServerContext
+) -> list[WorkerStatus]:
+    """What some slots do, of which it is known whether they are paused, by the running jobs."""
     alive = living(context.settings, context.engine, paused)
     return [
         WorkerStatus(

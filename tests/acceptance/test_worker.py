@@ -168,7 +168,7 @@ def test_failures_are_counted_by_kind(cluster):
     assert counts.since_last_call() == {"input": 1}
     later = FailureCounts(cluster.queue)
     assert later.since_last_call() == {}
-    cluster.queue.delete(late)
+    assert cluster.queue.delete_finished(cluster.job(late))
     assert later.since_last_call() == counts.since_last_call() == {}
     finished = cluster.job(gone).finished_at
     cluster.queue.retry(gone)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 from chamfer_morph.worker.engines.engine import Engine
@@ -36,9 +37,9 @@ class SpareEngine:
 
     def __init__(self, settings: Settings, storage: Storage) -> None:
         self._kept = settings.warm_engines
-        self._threads = threads_per_job(settings)
-        self._storage = storage
-        self._log_format = settings.log_format
+        self._new_engine = partial(
+            Engine, threads_per_job(settings), storage, log_format=settings.log_format
+        )
         self._lock = threading.Lock()  # one thread keeps it, another takes it
         self._spare: Engine | None = None
         self._taken: Engine | None = None  # the last one that was
@@ -57,13 +58,8 @@ class SpareEngine:
             taken = self._taken
             waited_for = taken and taken.frames < self._enough_frames and not taken.ended
             if not self._spare and not waited_for and time.monotonic() >= self._start_at:
-                self._spare = Engine(
-                    self._threads,
-                    self._storage,
-                    log_format=self._log_format,
-                    method=self._method,
-                    extent=taken.extent if taken else None,
-                )
+                extent = taken.extent if taken else None
+                self._spare = self._new_engine(method=self._method, extent=extent)
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
         """A process for a job: the spare one if it is ready for that, or else a new one."""
@@ -74,13 +70,7 @@ class SpareEngine:
                 self._taken, self._spare = self._spare, None
             else:
                 with (job_dir / "log.txt").open("ab") as messages:
-                    self._taken = Engine(
-                        self._threads,
-                        self._storage,
-                        log_format=self._log_format,
-                        job_dir=job_dir,
-                        log=messages,
-                    )
+                    self._taken = self._new_engine(job_dir=job_dir, log=messages)
             return self._taken
 
     def end(self) -> None:

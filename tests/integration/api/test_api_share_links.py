@@ -85,7 +85,7 @@ def test_a_link_shows_no_later_job_of_the_same_id(api: Api) -> None:
     job = api.http.post("/v1/jobs", json=MORPH, headers=again).json()["id"]
     link = api.http.post(f"/v1/jobs/{job}/share-links").json()["secret"]
     api.http.post(f"/v1/jobs/{job}/cancel")
-    api.context.queue.delete(job)
+    assert api.context.queue.delete_finished(api.context.queue.get(job))
     api.context.storage.remove_job(job)
     assert api.http.get(f"/v1/jobs/{job}", headers=_headers(link)).status_code == 404
     assert api.http.post("/v1/jobs", json=MORPH, headers=again).json()["id"] == job
