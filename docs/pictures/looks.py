@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import io
 import math
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, ViewportSize, expect
 
-from chamfer_morph.client import MorphClient
-from docs.pictures.page import FLAGS, PATIENCE, QUALITY, chromium
-from examples.service_demo import serving
+from docs.pictures.browsing import browsing
+from docs.pictures.page import QUALITY
 from morph_engine.rendering.camera_path import CameraKey, CameraPath, View
 from morph_engine.rendering.materials import MATERIALS
 from morph_engine.rendering.pictures import video
@@ -36,23 +34,16 @@ def looks(folder: Path) -> None:
     Args:
         folder: Where it is written.
     """
-    expect.set_options(timeout=PATIENCE)
-    with (
-        tempfile.TemporaryDirectory() as data,
-        serving(Path(data)) as server,
-        MorphClient(server) as client,
-        sync_playwright() as playwright,
-    ):
-        job = client.submit("sphere", "teapot", frames=FRAMES).id
-        client.wait(job)
-        result = Path(data) / "teapot.vtkhdf"
-        client.download(job, result)
-        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
-        page = browser.new_page(base_url=server, viewport={"width": WIDTH, "height": HEIGHT})
+    with browsing() as there:
+        job = there.client.submit("sphere", "teapot", frames=FRAMES).id
+        there.client.wait(job)
+        result = there.data / "teapot.vtkhdf"
+        there.client.download(job, result)
+        size: ViewportSize = {"width": WIDTH, "height": HEIGHT}
+        page = there.browser.new_page(base_url=there.server, viewport=size)
         shown = {name: _in_page(page, job, name) for name in MATERIALS}
         behind = np.asarray(shown["clay"])[HEIGHT // 2, 5].tobytes().hex()
         drawn = {name: _rendered(result, name, f"#{behind}") for name in MATERIALS}
-        browser.close()
     rows = [_cropped(pictures) for pictures in (shown, drawn)]
     _sheet(rows).save(folder / "looks.webp", quality=QUALITY)
 

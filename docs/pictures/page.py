@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import shutil
-import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from PIL import Image
-from playwright.sync_api import Browser, FilePayload, Page, expect, sync_playwright
+from playwright.sync_api import Browser, FilePayload, Page, expect
 
 from chamfer_morph.client import MorphClient
-from examples.service_demo import serving
+from docs.pictures.browsing import PATIENCE, browsing
 
 WIDTHS = {"desk": (1400, 900), "phone": (390, 844)}
 Scheme = Literal["light", "dark"]
@@ -25,9 +21,6 @@ SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 METHODS = ("flow", "joint", "physics", "dco")
 SHOWN = (("star", "torus"), ("torus", "teapot"), ("teapot", "heart"), ("heart", "text:MPM"))
 """Pairs of shapes that the gallery has beside the morphs by these methods."""
-
-PATIENCE = 120_000
-"""How long a view may take to show all it has [ms]."""
 
 SETTLED = 1500
 """After this long [ms] a scene is drawn in full."""
@@ -37,8 +30,6 @@ QUALITY = 82
 FRAMES = 40
 
 LAST_FRAME = re.compile(f"^Frame {FRAMES} of {FRAMES}, ")
-
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @dataclass(frozen=True)
@@ -56,12 +47,6 @@ class View:
     prepare: Callable[[Page], None]
 
 
-def chromium() -> str:
-    """Where the browser is; without one the program ends."""
-    found = os.environ.get("MORPH_CHROMIUM") or shutil.which("chromium")
-    return found or sys.exit("There is no chromium. Install it, or name it in MORPH_CHROMIUM.")
-
-
 def page_pictures(folder: Path) -> None:
     """Start a service, have it morph, and write a picture of each view.
 
@@ -69,22 +54,13 @@ def page_pictures(folder: Path) -> None:
         folder: Where `VIEW-WIDTH-SCHEME.webp` are written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    expect.set_options(timeout=PATIENCE)
-    with (
-        tempfile.TemporaryDirectory() as data,
-        serving(Path(data)) as server,
-        MorphClient(server) as client,
-        sync_playwright() as playwright,
-    ):
-        views = _views(client, _jobs(client))
-        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
-        for view in views:
+    with browsing() as there:
+        for view in _views(there.client, _jobs(there.client)):
             for width in WIDTHS:
                 for scheme in SCHEMES:
-                    image = _picture(browser, server, view, width, scheme)
+                    image = _picture(there.browser, there.server, view, width, scheme)
                     image.save(folder / f"{view.name}-{width}-{scheme}.webp", quality=QUALITY)
             print(view.name)
-        browser.close()
 
 
 def _jobs(client: MorphClient) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morph_engine.optimal_transport.plan import transport_plan
-from morph_engine.results.timeline import Moment, Timing, moments
+from morph_engine.results.timeline import Moment, Timing, duration, moments, picture_count
 from morph_engine.results.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,7 @@ class Playback:
     def __init__(self, trajectory: Trajectory, timing: Timing) -> None:
         self._trajectory = trajectory
         self._station = lru_cache(KEPT_STATIONS)(self._read)
+        self._distance = lru_cache(None)(self._moved)
         complete = trajectory.status == "complete"
         closed = complete and trajectory.run.closed
         self.moments: list[Moment] = self._moments(timing, closed=closed)
@@ -52,12 +53,10 @@ class Playback:
         hardly anything is seen to move.
         """
         shapes = stops(self._trajectory)
-        every = range(self._trajectory.frame_count + 1)
-        distances = self._distances(every)
-        count = len(moments(distances, shapes, timing, closed=closed))
+        way = sum(self._distances(range(self._trajectory.frame_count + 1)))
         passes = 2 if timing.repeat == "ping-pong" else 1
-        kept = self._apart(passes * sum(distances) / count, shapes)
-        timing = replace(timing, seconds=count / timing.fps)
+        kept = self._apart(passes * way / picture_count(shapes, timing), shapes)
+        timing = replace(timing, seconds=duration(shapes, timing))  # fewer stations take as long
         places = [kept.index(stop) for stop in shapes]
         return [
             replace(
@@ -110,7 +109,7 @@ class Playback:
         """What particles move on average from station to station [dx]."""
         return [self._distance(one, other) for one, other in pairwise(stations)]
 
-    def _distance(self, one: int, other: int) -> float:
+    def _moved(self, one: int, other: int) -> float:
         """What particles move on average between two stations [dx]; lost ones left out."""
         lengths = np.linalg.norm(self._station(other) - self._station(one), axis=1)
         finite = lengths[np.isfinite(lengths)]

@@ -112,6 +112,24 @@ class Moment:
     closing: float = 0.0
 
 
+def duration(stops: Sequence[int], timing: Timing) -> float:
+    """How long a film is [s]: as asked for, or as its frames take one picture each.
+
+    Args:
+        stops: Stations of the shapes, from 0 to the last station.
+        timing: How the run is played.
+    """
+    if timing.seconds is not None:
+        return timing.seconds
+    pictures = _steps_between(_visited(stops, timing)) + 1
+    return pictures / timing.fps + _rests(stops, timing) * timing.hold
+
+
+def picture_count(stops: Sequence[int], timing: Timing) -> int:
+    """Number of pictures of a film; arguments as of `duration`."""
+    return max(2, round(duration(stops, timing) * timing.fps))
+
+
 def moments(
     distances: Sequence[float] | Floats,
     stops: Sequence[int],
@@ -138,11 +156,8 @@ def moments(
         )
     steps = np.asarray(distances, np.float64) + LEAST_DISTANCE
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    visited = list(stops) + (list(stops[-2::-1]) if timing.repeat == "ping-pong" else [])
-    rests = len(visited) - (timing.repeat != "none")  # what repeats rests once where it begins
-    seconds = timing.seconds
-    if seconds is None:
-        seconds = (_steps_between(visited) + 1) / timing.fps + rests * timing.hold
+    visited, rests = _visited(stops, timing), _rests(stops, timing)
+    seconds = duration(stops, timing)
     moving = seconds - rests * timing.hold
     if moving <= 0:
         raise ConfigError(
@@ -150,7 +165,7 @@ def moments(
             "Make all longer (`seconds`), or the rests shorter (`hold`).",
         )
     total = sum(abs(travelled[b] - travelled[a]) for a, b in pairwise(visited))
-    count = max(2, round(seconds * timing.fps))
+    count = picture_count(stops, timing)
     ease, schedule, clock = _EASINGS[timing.easing], [], 0.0
     for a, b in pairwise(visited):
         begin = clock + timing.hold
@@ -169,6 +184,16 @@ def moments(
     if timing.repeat == "loop":
         found[-1] = found[0]
     return found
+
+
+def _visited(stops: Sequence[int], timing: Timing) -> list[int]:
+    """The shapes as they are passed."""
+    return [*stops, *(stops[-2::-1] if timing.repeat == "ping-pong" else [])]
+
+
+def _rests(stops: Sequence[int], timing: Timing) -> int:
+    """How often there is a rest; what repeats rests once where it begins."""
+    return len(_visited(stops, timing)) - (timing.repeat != "none")
 
 
 def _on_pictures(

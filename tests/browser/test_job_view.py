@@ -578,14 +578,20 @@ CUT = """() => {
 """What is chosen in lists, and tables, that do not fit."""
 
 
-@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
-def test_no_words_are_cut(done, new_page, size):
-    """Neither in the display's lists nor on any sheet of the drawer."""
+def with_display(new_page, job, size):
+    """The page of a job in a window of some size, with what there is to set about its look."""
     page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
-    page.goto(f"/jobs/{done}")
+    page.goto(f"/jobs/{job}")
     expect_frame(page, 1)
     if not page.locator(".display").is_visible():
         page.keyboard.press("t")
+    return page
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_no_words_are_cut(done, new_page, size):
+    """Neither in the display's lists nor on any sheet of the drawer."""
+    page = with_display(new_page, done, size)
     expect(page.get_by_label("Pace")).to_be_visible()
     assert page.evaluate(CUT) == []
     for pace in ("Even", "Slow at each shape", "Past it and back"):
@@ -601,11 +607,7 @@ def test_no_words_are_cut(done, new_page, size):
 @pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
 def test_all_of_the_display_is_in_sight(done, new_page, size):
     """Without scrolling in it, with the controls of a cut and of a pace."""
-    page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
-    page.goto(f"/jobs/{done}")
-    expect_frame(page, 1)
-    if not page.locator(".display").is_visible():
-        page.keyboard.press("t")
+    page = with_display(new_page, done, size)
     page.get_by_label("Cut", exact=True).select_option("x")
     page.get_by_label("Pace", exact=True).select_option("linear")
     expect(page.get_by_label("Position of the cut")).to_be_visible()

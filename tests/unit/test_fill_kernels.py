@@ -94,3 +94,27 @@ def test_fill_is_the_same_with_kernels(spacing: float, monkeypatch: pytest.Monke
     measured = fill_metrics(cloud, goal, spacing=spacing)
     monkeypatch.setattr(volume.backend, "runs_on_cpu", lambda: False)
     assert fill_metrics(cloud, goal, spacing=spacing) == measured
+
+
+@pytest.mark.parametrize("spacing", [0.125, 0.25])
+def test_density_at_some_points_is_that_at_all(
+    spacing: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Quantiles over a sample differ by its error alone; trees count the same there."""
+    goal = lattice(16, spacing, 0.1)
+    cloud = np.random.default_rng(7).uniform(goal.min(), goal.max(), (9000, 3)).astype(np.float32)
+    whole = fill_metrics(cloud, goal, spacing=spacing)
+    monkeypatch.setattr(volume, "MOST_PLACES", 1000)
+    some = fill_metrics(cloud, goal, spacing=spacing)
+    assert some == fill_metrics(cloud, goal, spacing=spacing)
+    wanted = np.random.default_rng(0).choice(len(goal), 1000, replace=False)
+    ratio = volume.density_ratio(*(np.float64(each) for each in (cloud, goal)))
+    assert some != whole
+    for name, quantile in volume.QUANTILES.items():
+        # within four standard errors of the rank of a quantile of 1000
+        error = 4 * np.sqrt(quantile * (1 - quantile) / 1000)
+        low, high = np.quantile(ratio, np.clip([quantile - error, quantile + error], 0, 1))
+        assert low <= some[name] <= high
+        assert some[name] == pytest.approx(np.quantile(ratio[wanted], quantile))
+    monkeypatch.setattr(volume.backend, "runs_on_cpu", lambda: False)
+    assert fill_metrics(cloud, goal, spacing=spacing) == some

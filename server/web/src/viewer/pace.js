@@ -4,7 +4,7 @@ import { choice, offer } from "../choice.js";
 import { h } from "../dom.js";
 
 const RATES = [24, 25, 30, 60];
-const USUAL_RATE = 30; // pictures a second
+const USUAL_FPS = 30; // pictures a second, of films
 const USUAL_SECONDS = 5;
 const MOST_SECONDS = 3600;
 const RESTS = [0, 0.5, 1, 2];
@@ -46,7 +46,7 @@ export class Pace {
       on: { change },
     });
     const lasts = h("label", { class: "small quiet", for: "play-seconds" }, "Lasts [s]");
-    const rates = { value: String(USUAL_RATE), change, title: "Pictures a second, in films" };
+    const rates = { value: String(USUAL_FPS), change, title: "Pictures a second, in films" };
     this.rate = choice("play-rate", "Frame rate", named(RATES, "fps"), rates);
     this.hold = choice("play-hold", "Rests", named(RESTS, "s"), { change, title: "How long it rests at each shape" });
     this.repeat = choice("play-repeat", "Played", REPEATS, { change, title: "Whether it comes back, or begins anew" });
