@@ -30,18 +30,20 @@ def serving(data_dir: Path) -> Iterator[str]:
     command = [*serve, "--port", "0", "--data-dir", str(data_dir)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
+        log = threading.Thread(target=shutil.copyfileobj, args=(process.stderr, sys.stderr))
         try:
             for line in process.stderr:
                 sys.stderr.write(line)
                 if found := re.search(r"serves at (http\S+)", line):
-                    rest = (process.stderr, sys.stderr)
-                    threading.Thread(target=shutil.copyfileobj, args=rest, daemon=True).start()
+                    log.start()
                     yield found[1]
                     break
             else:
                 sys.exit("The service did not start.")
         finally:
             process.send_signal(signal.SIGTERM)
+            if log.is_alive():
+                log.join()  # what it says at its end, too
 
 
 def compute(client: MorphClient, source: str, target: str, frames: int) -> str:
