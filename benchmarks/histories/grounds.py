@@ -58,6 +58,9 @@ class Ground(Protocol):
     def remove(self, job: str) -> None:
         """Delete what a job has left."""
 
+    def forget(self, job: str) -> None:
+        """Take a job out of the queue, in whatever state, and delete what it has left."""
+
     def close(self) -> None:
         """Give everything back."""
 
@@ -134,6 +137,10 @@ class DatabaseGround:
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)
 
+    def forget(self, job: str) -> None:
+        self.queue._client.delete_workflow(job)
+        self.remove(job)
+
     def close(self) -> None:
         self.queue.close()
 
@@ -182,6 +189,10 @@ class MemoryGround:
 
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)
+
+    def forget(self, job: str) -> None:
+        self.queue._client.delete_workflow(job)
+        self.remove(job)
 
     def close(self) -> None:
         pass

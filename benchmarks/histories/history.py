@@ -419,5 +419,4 @@ class World:
         for owner in OWNERS:
             self.queue.unpause(owner)
         for job in self._jobs:
-            self.queue.delete(job)
-            self.ground.remove(job)
+            self.ground.forget(job)
