@@ -9,6 +9,7 @@ import { problemNotice } from "../../problem_notice.js";
 import { PictureOptions } from "./picture_options.js";
 
 const ASK_MILLISECONDS = 500;
+const USUAL_FORMAT = "glb"; // other programs play it
 
 /** The section; `update` tells it of the job. */
 export class Downloads {
@@ -120,9 +121,9 @@ export class Downloads {
     const names = formats.map((one) => [one.name, one.name.toUpperCase()]);
     const format = choice("export-format", "Format", names, { change: reflect });
     const contents = [
-      ["points", "Particles"],
-      ["surface", "Surface"],
       ["tracked", "Moving mesh"],
+      ["surface", "Surface"],
+      ["points", "Particles"],
     ];
     const content = choice("export-content", "Content", contents, { change: reflect });
     const frames = choice("export-frames", "Frames", [
@@ -150,6 +151,7 @@ export class Downloads {
       ["matter", "As the matter lies"],
       ["meshes", "Drawn to your meshes"],
     ]);
+    format.select.value = USUAL_FORMAT;
     const explain = h("p", { class: "quiet small" });
     const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
