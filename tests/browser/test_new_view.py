@@ -499,6 +499,28 @@ def test_a_morph_lasts_as_many_seconds_as_asked(page):
     expect(page.get_by_label("Frames", exact=True)).to_have_value("30")
 
 
+def test_what_lasts_ten_times_as_long_is_ready_later(mesh_files, page):
+    """The form says when, for the length chosen."""
+    page.goto("/new")
+    card(page, "From").get_by_label("Mesh file of the source").set_input_files(
+        mesh_files["ball.obj"]
+    )
+    cost = page.get_by_text("Usually ready in about")
+
+    def seconds():
+        minutes, rest = re.search(
+            r"about (?:(\d+) min)? ?(?:(\d+) s)?", cost.text_content()
+        ).groups()
+        return 60 * int(minutes or 0) + int(rest or 0)
+
+    expect(cost).to_be_visible()
+    usual, words = seconds(), cost.text_content()
+    page.get_by_label("Lasts").fill("33.3")
+    page.get_by_label("Lasts").blur()
+    expect(cost).not_to_have_text(words)
+    assert seconds() == pytest.approx(10 * usual, rel=0.15)
+
+
 def test_messages_call_settings_as_the_form_does(page):
     """Whether they have a field of their own or stand under a heading, and never by a path."""
     page.goto('/new?overrides={"grid.dx":8}')
