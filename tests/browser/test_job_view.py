@@ -728,6 +728,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
     places = opened.locator(".camera-keys li")
     expect(places).to_have_text([re.compile("^0 %: 0° around"), re.compile("^100 %: 90° around")])
     opened.get_by_role("button", name="Export").click()
+    expect(opened.get_by_role("button", name=re.compile("^Save "))).to_be_in_viewport()
     with zipfile.ZipFile(saved(opened, re.compile(r"^Save .*\.zip"), tmp_path)) as archive:
         with archive.open("frame-0000.png") as file, Image.open(file) as image:
             assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0

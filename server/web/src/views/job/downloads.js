@@ -200,7 +200,8 @@ export class Downloads {
   async #export(state, wanted) {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress of the export" });
     const words = h("p", { class: "small" }, "The export begins.");
-    fill(state, words, bar);
+    const tell = (...content) => fill(state, ...content).scrollIntoView({ block: "nearest" });
+    tell(words, bar);
     try {
       let made = await post(`/jobs/${this.jobId}/exports`, wanted, { signal: this.signal });
       const path = `/jobs/${this.jobId}/exports/${made.id}`;
@@ -211,8 +212,7 @@ export class Downloads {
         made = await get(path, { signal: this.signal });
       }
       if (made.state === "failed") throw new Problem({ detail: made.problem?.cause, ...made.problem });
-      fill(
-        state,
+      tell(
         h("p", { class: "small" }, "The export is ready. "),
         h(
           "div",
@@ -221,7 +221,7 @@ export class Downloads {
         ),
       );
     } catch (error) {
-      if (!this.signal.aborted) fill(state, problemNotice(error));
+      if (!this.signal.aborted) tell(problemNotice(error));
     }
   }
 
