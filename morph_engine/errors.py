@@ -49,6 +49,14 @@ class DeviceError(MorphError):
 class SimulationError(MorphError):
     """A frame could not be completed even with the smallest step."""
 
+    @classmethod
+    def after(cls, frames: int, cause: str, remedy: str) -> SimulationError:
+        """What ends a morph that has so many frames; the cause is part of a sentence."""
+        return cls(
+            f"The morph cannot go on after {frames} frame{'s' * (frames != 1)}: {cause}.",
+            f"What is finished is kept; {remedy}.",
+        )
+
 
 class ExtraError(MorphError, ImportError):
     """A package that an extra of this one installs is absent."""

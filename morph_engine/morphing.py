@@ -560,7 +560,7 @@ class EarlyStopping:
             Event(
                 frame,
                 "stopped",
-                f"Stopped after frame {frame}: s2t has not improved for {self._waited} frames.",
+                f"Stopped: s2t has not improved for {self._waited} frames.",
                 {"best_s2t": self._best},
             )
         ]

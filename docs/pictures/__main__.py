@@ -2,6 +2,7 @@
 
     python -m docs.pictures --meshes DIR            # all of them, about four minutes
     python -m docs.pictures page                    # those of the web page alone
+    python -m docs.pictures page --views job keys   # some of them
     python -m docs.pictures looks                   # the six looks, in the page and by morph render
     python -m docs.pictures gallery --to DIR        # twelve morphs, a sheet and their videos
 
@@ -34,6 +35,7 @@ def main() -> None:
         "groups", nargs="*", help=f"of {', '.join(GROUPS)}; all if none is named; or gallery"
     )
     parser.add_argument("--meshes", type=Path, help="folder with sphere.obj and bunny.obj")
+    parser.add_argument("--views", nargs="+", default=[], help="those of the page alone")
     parser.add_argument("--to", type=Path, default=IMAGES, help="folder of the pictures")
     arguments = parser.parse_args()
     wanted = arguments.groups or GROUPS
@@ -51,7 +53,7 @@ def main() -> None:
     if "looks" in wanted:
         looks(arguments.to)
     if "page" in wanted:
-        page_pictures(arguments.to / "page")
+        page_pictures(arguments.to / "page", arguments.views)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,12 +22,16 @@ METHODS = ("flow", "joint", "physics", "dco")
 SHOWN = (("star", "torus"), ("torus", "teapot"), ("teapot", "heart"), ("heart", "text:MPM"))
 """Pairs of shapes that the gallery has beside the morphs by these methods."""
 
+HOPELESS = {"watchdog.restarts": 0, "watchdog.cells_per_step": 0.05}
+"""Settings that let particles go no faster than they go in the middle of a morph."""
+
 SETTLED = 1500
 """After this long [ms] a scene is drawn in full."""
 
 QUALITY = 82
 
 FRAMES = 40
+COARSE = {"sampling.points_per_cell_edge": 2}
 
 LAST_FRAME = re.compile(f"^Frame {FRAMES} of {FRAMES}, ")
 
@@ -47,15 +51,18 @@ class View:
     prepare: Callable[[Page], None]
 
 
-def page_pictures(folder: Path) -> None:
+def page_pictures(folder: Path, names: Collection[str] = ()) -> None:
     """Start a service, have it morph, and write a picture of each view.
 
     Args:
         folder: Where `VIEW-WIDTH-SCHEME.webp` are written.
+        names: Of the views that are drawn; all if there are none.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with browsing() as there:
-        for view in _views(there.client, _jobs(there.client)):
+        for view in _views(there.client, *_jobs(there.client)):
+            if names and view.name not in names:
+                continue
             for width in WIDTHS:
                 for scheme in SCHEMES:
                     image = _picture(there.browser, there.server, view, width, scheme)
@@ -63,34 +70,35 @@ def page_pictures(folder: Path) -> None:
             print(view.name)
 
 
-def _jobs(client: MorphClient) -> list[str]:
-    """Morphs that are worth looking at, finished, and others that are running and waiting."""
+def _jobs(client: MorphClient) -> tuple[list[str], str]:
+    """Morphs that are worth looking at, finished, and one that failed.
+
+    Others are stopped, running and waiting.
+    """
     finished = [
         client.submit(
-            "sphere",
-            "heart",
-            method=method,
-            name=f"heart, {method}",
-            overrides={"sampling.points_per_cell_edge": 2},
+            "sphere", "heart", method=method, name=f"heart, {method}", overrides=COARSE
         ).id
         for method in METHODS
     ]
-    others = [
-        client.submit(source, target, overrides={"sampling.points_per_cell_edge": 2}).id
-        for source, target in SHOWN
-    ]
-    for job in finished + others:
+    failed = client.submit(
+        "sphere", "star", method="physics", name="star, too fast", overrides=COARSE | HOPELESS
+    ).id
+    others = [client.submit(source, target, overrides=COARSE).id for source, target in SHOWN]
+    for job in [*finished, failed, *others]:
         for event in client.events(job):
             if event.type == "state":
                 print(f"{job}: {event.data['state']}")
-    stopped = client.submit("star", "torus", name="stopped half way", frames=1000).id
-    client.cancel(stopped)
+    stopped = client.submit("star", "torus", name="stopped half way", overrides=COARSE).id
+    for event in client.events(stopped):
+        if event.type == "frame" and event.data["frame"] == FRAMES // 2:
+            client.cancel(stopped)
     for name in ("running for long", "waiting"):
         client.submit("teapot", "text:MPM", name=name, frames=1000)
-    return finished
+    return finished, failed
 
 
-def _views(client: MorphClient, jobs: list[str]) -> tuple[View, ...]:
+def _views(client: MorphClient, jobs: list[str], failed: str) -> tuple[View, ...]:
     there = _scenes_are_there(1)
     job = f"/jobs/{jobs[0]}?frame={FRAMES}&quality=full"
     sheets = tuple(
@@ -105,6 +113,11 @@ def _views(client: MorphClient, jobs: list[str]) -> tuple[View, ...]:
         View("gallery", "/gallery", _stills_are_there),
         View("compare", f"/compare?jobs={','.join(jobs)}&quality=full", _scenes_are_there(4)),
         *sheets,
+        View(
+            "failed",
+            f"/jobs/{failed}?frame={FRAMES}&details=overview&quality=full",
+            _failure_is_told,
+        ),
         View("share", f"{job}&details=overview", _link_is_made(client, jobs[0])),
         View("display", job, _display_is_open),
         View("keys", job, _keys_are_listed),
@@ -118,12 +131,21 @@ def _link_is_made(client: MorphClient, job: str) -> Callable[[Page], None]:
     def make(page: Page) -> None:
         for link in client.share_links(job):
             client.revoke_share_link(job, link.id)
+        page.reload()
         _scenes_are_there(1)(page)
         page.get_by_role("button", name="Make a link").click()
         expect(page.get_by_label("Address of the link")).to_be_visible()
         page.locator(".sharing").scroll_into_view_if_needed()
 
     return make
+
+
+def _failure_is_told(page: Page) -> None:
+    expect(page.locator(".headline")).to_contain_text("cannot go on")
+    canvas = page.locator(".scene canvas")
+    expect(canvas).to_have_attribute("aria-label", re.compile("^Frame "))
+    expect(page.locator(".surface-words")).to_contain_text("from the target")
+    expect(canvas).not_to_have_attribute("aria-busy", "true")
 
 
 def _display_is_open(page: Page) -> None:
@@ -221,6 +243,7 @@ def _picture(browser: Browser, server: str, view: View, width: str, scheme: Sche
     page = context.new_page()
     page.goto(view.path)
     view.prepare(page)
+    expect(page.get_by_text("does not show 3D graphics")).to_have_count(0)
     page.wait_for_timeout(SETTLED)
     height = page.evaluate("document.documentElement.scrollHeight")
     page.set_viewport_size({"width": horizontal, "height": height})  # what sticks is at the bottom

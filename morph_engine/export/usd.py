@@ -10,9 +10,12 @@ import numpy.typing as npt
 
 from morph_engine import srgb
 from morph_engine.export.format import Format
+from morph_engine.export.gltf import ROUGHNESS
 from morph_engine.optional_packages import load
 from morph_engine.results.selection import Selection, Snapshot
 from morph_engine.results.tracked_surface import track_surface
+
+MATERIAL = "/morph/material"
 
 Floats = npt.NDArray[np.float64]
 
@@ -47,6 +50,7 @@ def write(selection: Selection, path: Path) -> None:
         shape.SetWidthsInterpolation(UsdGeom.Tokens.constant)
         for snapshot in selection.snapshots():
             _sample(UsdGeom, shape, snapshot)
+    _wear_colors(UsdGeom, stage)
     layer = stage.GetRootLayer()
     final = path.with_name(path.name + ".usdc")
     try:
@@ -118,6 +122,34 @@ def _colors(UsdGeom: Any, shape: Any, colors: srgb.Bytes, time: int) -> None:
     variable = shape.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
     light = srgb.from_bytes(colors).astype(np.float32)
     variable.Set(Vt.Vec3fArray.FromNumpy(light), time)
+
+
+def _wear_colors(UsdGeom: Any, stage: Any) -> None:
+    """Bind what has colours to a material that reads them, as renderers ask for one."""
+    Sdf, UsdShade = (
+        load(f"pxr.{name}", extra="usd", purpose="USD") for name in ("Sdf", "UsdShade")
+    )
+    shapes = [prim for prim in stage.Traverse() if _has_colors(UsdGeom, prim)]
+    if not shapes:
+        return
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, MATERIAL)
+    reader = UsdShade.Shader.Define(stage, f"{MATERIAL}/colors")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", types.String).Set("displayColor")
+    color = reader.CreateOutput("result", types.Float3)
+    surface = UsdShade.Shader.Define(stage, f"{MATERIAL}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(color)
+    surface.CreateInput("roughness", types.Float).Set(ROUGHNESS)
+    outcome = surface.CreateOutput("surface", types.Token)
+    material.CreateSurfaceOutput().ConnectToSource(outcome)
+    for prim in shapes:
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def _has_colors(UsdGeom: Any, prim: Any) -> bool:
+    return bool(prim.IsA(UsdGeom.Gprim) and UsdGeom.Gprim(prim).GetDisplayColorPrimvar().HasValue())
 
 
 def _triangles(shape: Any, faces: npt.NDArray[np.int32], time: int | None = None) -> None:

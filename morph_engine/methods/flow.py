@@ -226,10 +226,7 @@ class Flow(MpmMethod[FlowOptions]):
                 break
             names = ", ".join(mpm.fault_names(faults))
             if restart == self.options.watchdog.restarts:
-                raise SimulationError(
-                    f"Frame {frame} cannot go on: {names}.",
-                    "Those before it are kept; use more frames, or steps_per_frame.",
-                )
+                raise SimulationError.after(frame, names, "try more `frames`, or `steps_per_frame`")
             steps *= 2
             events.append(restarted(frame, self._frame_seconds / steps, names))
         before, place = self._particles.x, mpm.inverse_order(order)

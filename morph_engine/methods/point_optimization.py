@@ -67,9 +67,10 @@ class PointOptimization(Method[PointOptionsT], Generic[PointOptionsT]):
         positions = self._x.to_numpy()
         if not (np.abs(positions) <= geometry.REACH).all():
             self.restore(before)
-            raise SimulationError(
-                f"Frame {frame} of method {self.name} has particles at non-finite positions.",
-                "Lower the learning rate, or the weights of the regularisers.",
+            raise SimulationError.after(
+                frame,
+                "positions are not finite",
+                "try a lower learning rate, or lower weights of the regularisers",
             )
         d_fwd, d_rev = self._matches.distances()
         return FrameOutcome(

@@ -107,9 +107,8 @@ class Transport(MpmMethod[TransportOptions]):
             faults = simulation.forward()
             if faults:
                 names = ", ".join(mpm.fault_names(faults))
-                raise SimulationError(
-                    f"Frame {frame} cannot go on: {names}.",
-                    "Those before it are kept; use more frames, or time.transitions_per_frame.",
+                raise SimulationError.after(
+                    frame, names, "try more `frames`, or `time.transitions_per_frame`"
                 )
             mpm.steering.correct(there.x, corrected, begin, destination, share, limit)
             simulation.layers.reverse()

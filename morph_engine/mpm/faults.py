@@ -3,10 +3,10 @@
 NON_FINITE, OUTSIDE, INVERTED, TOO_FAST = 1, 2, 4, 8
 
 FAULTS = {
-    NON_FINITE: "non-finite value",
-    OUTSIDE: "particle out of the domain",
-    INVERTED: "det F <= 0",
-    TOO_FAST: "particle faster than the grid allows",
+    NON_FINITE: "a value is not finite",
+    OUTSIDE: "a particle is out of the domain",
+    INVERTED: "a particle is turned inside out (det F <= 0)",
+    TOO_FAST: "a particle is faster than the grid allows",
 }
 
 

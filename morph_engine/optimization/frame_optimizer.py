@@ -124,10 +124,11 @@ class FrameOptimizer:
             self._tolerate(may_leave)
             faults = self._start(frame, report)
         if faults:
-            raise SimulationError(
-                f"Frame {frame} cannot go on: {', '.join(fault_names(faults))}, even at a time "
-                f"step of {simulation.dt:.2g} s.",
-                "The frames before it are kept; try a smaller optimizer.step or time.dt.",
+            names = ", ".join(fault_names(faults))
+            raise SimulationError.after(
+                frame,
+                f"{names}, even at a time step of {simulation.dt:.2g} s",
+                "try a smaller `optimizer.step` or `time.dt`",
             )
         for pass_index in range(self._config.passes):
             for group in self._groups:

@@ -18,7 +18,7 @@ class Event:
         kind: "placement" (shapes scaled to fit), "rejected" (trials refused), "restart" (frame
             begun anew with half the time step), "outside" (particles out of the domain that are
             left there), "stopped" (early stopping).
-        message: One sentence.
+        message: One sentence, which leaves the frame to who shows it.
         data: Numbers behind the message.
     """
 
@@ -34,18 +34,18 @@ class Event:
 
 def restarted(frame: int, dt: float, cause: str) -> Event:
     """A frame begins anew with a smaller time step dt [s]."""
-    message = f"Frame {frame} restarted at dt = {dt:.3g} s: {cause}."
+    message = f"Restarted at a time step of {dt:.3g} s: {cause}."
     return Event(frame, "restart", message, {"cause": cause, "dt": dt})
 
 
 def outside(frame: int, count: int) -> Event:
     """So many particles are out of the domain after a frame, and are left there."""
     are = "particle is" if count == 1 else "particles are"
-    message = f"{count} {are} out of the domain after frame {frame}."
+    message = f"{count} {are} out of the domain, and left there."
     return Event(frame, "outside", message, {"count": count})
 
 
 def rejected(frame: int, count: int, cause: str) -> Event:
     """So many trial steps of a frame were refused for one cause."""
-    message = f"{count} trial{'s' * (count > 1)} rejected in frame {frame}: {cause}."
+    message = f"{count} trial{'s' * (count > 1)} rejected: {cause}."
     return Event(frame, "rejected", message, {"cause": cause, "count": count})

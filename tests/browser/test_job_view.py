@@ -21,6 +21,9 @@ from tests.patience import until
 pytestmark = pytest.mark.browser
 
 FRAMES = 4
+HURRIED = 40
+"""Frames of a job that has too little time."""
+
 MANY = 2000
 """Frames of a job that lasts until it is cancelled."""
 
@@ -58,6 +61,15 @@ def done(service):
     """A job of a few frames that is done."""
     job = service.submit(name="a job to look at", frames=FRAMES, method="dco")
     service.wait_for(job, "succeeded", seconds=COMPILING)
+    return job
+
+
+@pytest.fixture(scope="module")
+def failed(service):
+    """A job whose particles would have to be faster than they may be."""
+    settings = {"sampling.points_per_cell_edge": 1, "watchdog.cells_per_step": 0.02}
+    job = service.submit(frames=HURRIED, method="transport", overrides=settings)
+    service.wait_for(job, "failed", seconds=COMPILING)
     return job
 
 
@@ -218,6 +230,29 @@ def test_a_job_is_watched_to_its_end(service, page):
     ).to_be_visible()
     expect(page.locator(".history")).to_contain_text("Attempt 1 began.")
     assert 0.05 < drawn(page) < 0.95
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_a_job_that_fails_says_so_and_keeps_its_frames(failed, new_page, size):
+    """With what was wrong and what to do, beside the last frame; the drawer covers none of it."""
+    width, height = size
+    page = new_page(viewport={"width": width, "height": height})
+    page.goto(f"/jobs/{failed}?shape=points&quality=plain")
+    headline = page.locator(".headline")
+    found = re.compile(r"cannot go on after (\d+) frames?: a particle is faster")
+    expect(headline).to_contain_text(found)
+    expect(headline).to_contain_text("What is finished is kept; try more “Frames”")
+    finished = int(found.search(headline.text_content())[1])
+    expect(headline).to_contain_text(f"{finished} of {HURRIED} frames")
+    expect_frame(page, 1, of=HURRIED)
+    page.keyboard.press("n")
+    drawer = page.locator(".drawer")
+    expect(drawer.get_by_role("button", name="Resume")).to_be_visible()
+    expect(drawer).to_contain_text(found)  # as the last of what happened
+    timeline, tabs = page.locator(".timeline").bounding_box(), drawer.bounding_box()
+    assert timeline["x"] + timeline["width"] <= tabs["x"] or (
+        timeline["y"] + timeline["height"] <= tabs["y"]
+    )
 
 
 def test_the_timeline_scrubs_steps_and_plays(opened):
@@ -661,7 +696,11 @@ def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service)
         assert result["VTKHDF/Steps"].attrs["NSteps"] == FRAMES
     rows = csv.DictReader(saved(opened, "Metrics, CSV", tmp_path).read_text().splitlines())
     assert [row["frame"] for row in rows] == [str(i) for i in range(FRAMES)]
+    expect(opened.get_by_label("Format")).to_have_value("glb")
+    expect(opened.get_by_label("Content")).to_have_value("tracked")  # what an artist takes home
     opened.get_by_label("Format").select_option("ply")
+    expect(opened.get_by_label("Content")).to_have_value("surface")
+    opened.get_by_label("Content").select_option("points")
     opened.get_by_role("button", name="Export").click()
     cloud = trimesh.load(saved(opened, re.compile(r"^Save .*\.ply"), tmp_path))
     assert len(cloud.vertices) == particles
@@ -689,6 +728,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
     places = opened.locator(".camera-keys li")
     expect(places).to_have_text([re.compile("^0 %: 0° around"), re.compile("^100 %: 90° around")])
     opened.get_by_role("button", name="Export").click()
+    expect(opened.get_by_role("button", name=re.compile("^Save "))).to_be_in_viewport()
     with zipfile.ZipFile(saved(opened, re.compile(r"^Save .*\.zip"), tmp_path)) as archive:
         with archive.open("frame-0000.png") as file, Image.open(file) as image:
             assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0

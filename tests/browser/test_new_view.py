@@ -145,21 +145,19 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
 
 
 @pytest.mark.parametrize(
-    ("scale", "suffix", "method"),
-    [(0.001, ".glb", "dco"), (1.0, ".obj", "dco"), (1000.0, ".stl", "dco")],
+    ("scale", "suffix"),
+    [(0.001, ".glb"), (1.0, ".obj"), (1000.0, ".stl")],
     ids=["mm", "m", "km"],
 )
-def test_meshes_of_any_unit_come_back_where_they_were(
-    service, page, tmp_path, scale, suffix, method
-):
-    """Heart to teapot, off-centre, in other units, an STL with z up: no setting is touched.
+def test_meshes_of_any_unit_come_back_where_they_were(service, page, tmp_path, scale, suffix):
+    """Heart to teapot, off-centre, in other units, an STL with z up: only its cost is set.
 
     The result's maps bring the shapes back to 1e-5 of their size.
     """
     z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     turn = z_up if suffix == ".stl" else np.eye(3)
     ends = {"source": ("From", "heart"), "target": ("To", "teapot")}
-    page.goto(f"/new?methods={method}")
+    page.goto("/new")
     for role, (label, name) in ends.items():
         shape = make(name)
         vertices = (shape.vertices @ turn.T + [40.0, -90.0, 3.0]) * scale
@@ -174,6 +172,7 @@ def test_meshes_of_any_unit_come_back_where_they_were(
     page.wait_for_url("**/jobs/*")
     job = service.wait_for(page.url.rpartition("/")[2], "succeeded", "failed")
     assert job["state"] == "succeeded", job["problem"]
+    assert job["method"] == "flow"
     assert job["placement"]["up"] == ("z" if suffix == ".stl" else "y")
     result = tmp_path / "r.vtkhdf"
     result.write_bytes(service.call("GET", f"/v1/jobs/{job['id']}/result").content)
@@ -498,6 +497,28 @@ def test_a_morph_lasts_as_many_seconds_as_asked(page):
     assert sent.value.post_data_json["overrides"] == {"frames": 30}
     research(page)
     expect(page.get_by_label("Frames", exact=True)).to_have_value("30")
+
+
+def test_what_lasts_ten_times_as_long_is_ready_later(mesh_files, page):
+    """The form says when, for the length chosen."""
+    page.goto("/new")
+    card(page, "From").get_by_label("Mesh file of the source").set_input_files(
+        mesh_files["ball.obj"]
+    )
+    cost = page.get_by_text("Usually ready in about")
+
+    def seconds():
+        minutes, rest = re.search(
+            r"about (?:(\d+) min)? ?(?:(\d+) s)?", cost.text_content()
+        ).groups()
+        return 60 * int(minutes or 0) + int(rest or 0)
+
+    expect(cost).to_be_visible()
+    usual, words = seconds(), cost.text_content()
+    page.get_by_label("Lasts").fill("33.3")
+    page.get_by_label("Lasts").blur()
+    expect(cost).not_to_have_text(words)
+    assert seconds() == pytest.approx(10 * usual, rel=0.15)
 
 
 def test_messages_call_settings_as_the_form_does(page):

@@ -145,6 +145,7 @@ def test_textures_are_a_choice_where_a_mesh_moves(page, colored, tmp_path):
     page.goto(f"/jobs/{colored}?quality=plain")
     details(page, "Files")
     page.get_by_label("Format").select_option("glb")
+    page.get_by_label("Content").select_option("surface")
     choice = page.get_by_label("Colours", exact=True)
     expect(choice).to_be_hidden()
     page.get_by_label("Content").select_option("tracked")

@@ -326,9 +326,9 @@ def test_a_texture_needs_its_extra(result, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["points", "surface", "tracked"])
 def test_usd_has_colours_at_each_time(result, egg, tmp_path, kind):
-    """As displayColor in linear light, a value at each point."""
+    """As displayColor in linear light, a value at each point, which the bound material reads."""
     pxr = pytest.importorskip("pxr.UsdGeom")
-    from pxr import Usd
+    from pxr import Usd, UsdShade
 
     options = {} if kind == "points" else {kind: True}
     frames = [0, COUNT - 1]
@@ -341,6 +341,13 @@ def test_usd_has_colours_at_each_time(result, egg, tmp_path, kind):
     points = np.array(pxr.PointBased(shape).GetPointsAttr().Get(COUNT - 1))
     light = np.array(primvar.Get(COUNT - 1))
     assert differences(srgb.to_bytes(light), original(egg, points)).max() < STILL_TO_SEE
+    material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial()
+    surface = material.ComputeSurfaceSource()[0]
+    assert surface.GetShaderId() == "UsdPreviewSurface"
+    source = surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source
+    reader = UsdShade.Shader(source.GetPrim())
+    assert reader.GetShaderId() == "UsdPrimvarReader_float3"
+    assert reader.GetInput("varname").Get() == "displayColor"
 
 
 @pytest.mark.parametrize("surface", [False, True])

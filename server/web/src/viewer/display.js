@@ -174,6 +174,7 @@ export class Display {
   #reflect() {
     for (const [name, select] of Object.entries(this.selects)) select.value = this.state[name];
     this.slider.hidden = this.state.axis === "none";
+    this.drawn.hidden = this.state.quality !== "auto"; // else it is what was chosen
     this.reading.textContent = `${this.state.axis} = ${number(this.state.offset, 3)} dx`;
     this.offset.setAttribute("aria-valuetext", `${number(this.state.offset, 3)} grid units`);
   }

@@ -9,6 +9,7 @@ import { problemNotice } from "../../problem_notice.js";
 import { PictureOptions } from "./picture_options.js";
 
 const ASK_MILLISECONDS = 500;
+const USUAL_FORMAT = "glb"; // other programs play it
 
 /** The section; `update` tells it of the job. */
 export class Downloads {
@@ -120,9 +121,9 @@ export class Downloads {
     const names = formats.map((one) => [one.name, one.name.toUpperCase()]);
     const format = choice("export-format", "Format", names, { change: reflect });
     const contents = [
-      ["points", "Particles"],
-      ["surface", "Surface"],
       ["tracked", "Moving mesh"],
+      ["surface", "Surface"],
+      ["points", "Particles"],
     ];
     const content = choice("export-content", "Content", contents, { change: reflect });
     const frames = choice("export-frames", "Frames", [
@@ -150,6 +151,7 @@ export class Downloads {
       ["matter", "As the matter lies"],
       ["meshes", "Drawn to your meshes"],
     ]);
+    format.select.value = USUAL_FORMAT;
     const explain = h("p", { class: "quiet small" });
     const made = h("div", { class: "stack", role: "status" });
     const submit = async (event) => {
@@ -198,7 +200,8 @@ export class Downloads {
   async #export(state, wanted) {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress of the export" });
     const words = h("p", { class: "small" }, "The export begins.");
-    fill(state, words, bar);
+    const tell = (...content) => fill(state, ...content).scrollIntoView({ block: "nearest" });
+    tell(words, bar);
     try {
       let made = await post(`/jobs/${this.jobId}/exports`, wanted, { signal: this.signal });
       const path = `/jobs/${this.jobId}/exports/${made.id}`;
@@ -209,8 +212,7 @@ export class Downloads {
         made = await get(path, { signal: this.signal });
       }
       if (made.state === "failed") throw new Problem({ detail: made.problem?.cause, ...made.problem });
-      fill(
-        state,
+      tell(
         h("p", { class: "small" }, "The export is ready. "),
         h(
           "div",
@@ -219,7 +221,7 @@ export class Downloads {
         ),
       );
     } catch (error) {
-      if (!this.signal.aborted) fill(state, problemNotice(error));
+      if (!this.signal.aborted) tell(problemNotice(error));
     }
   }
 

@@ -2,7 +2,7 @@
 import { announce } from "../../announce.js";
 import { get } from "../../api.js";
 import { fill, h, redraw } from "../../dom.js";
-import { count, duration, jobName, jobShapes, lives, number, plural, state as word, when } from "../../format.js";
+import { count, duration, jobName, jobShapes, lives, number, percent, plural, state as word, when } from "../../format.js";
 import { go } from "../../navigation.js";
 import { shared } from "../../share_link.js";
 import { inTitles, problemNotice } from "../../problem_notice.js";
@@ -158,8 +158,9 @@ function standing(job) {
 function figures({ outcome, progress }) {
   const metrics = outcome?.metrics ?? progress.metrics;
   const known = METRICS.filter(([name]) => name in metrics);
-  return (
-    known.length > 0 &&
+  if (!known.length) return null;
+  return [
+    "spill" in metrics && h("p", null, filling(metrics)),
     h(
       "dl",
       { class: "numbers" },
@@ -171,8 +172,12 @@ function figures({ outcome, progress }) {
           h("dd", null, number(metrics[name], 3), unit && h("span", { class: "quiet small" }, ` ${unit}`)),
         ),
       ),
-    )
-  );
+    ),
+  ];
+}
+
+function filling({ cover, spill }) {
+  return `${percent(cover)} of the target is filled, and ${percent(spill)} of the matter lies beside it.`;
 }
 
 function place(position) {

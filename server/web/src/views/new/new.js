@@ -3,7 +3,7 @@
 import { get, post } from "../../api.js";
 import { choice, offer } from "../../choice.js";
 import { fill, h, reveal } from "../../dom.js";
-import { bytes, duration, number } from "../../format.js";
+import { bytes, duration } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
 import { problemNotice } from "../../problem_notice.js";
@@ -15,7 +15,7 @@ import { AS_IT_IS, posesOf } from "./pose.js";
 import { Landmarks } from "./landmarks.js";
 import { research } from "./research.js";
 import { methodsWith, settings } from "./schema.js";
-import { Seconds, secondsOf } from "./seconds.js";
+import { Seconds } from "./seconds.js";
 import { Settings } from "./settings.js";
 import "./new.css";
 
@@ -36,6 +36,7 @@ const MATTER = [
 ];
 const OTHER = ["", "As under Research"];
 const FRAMES = "frames";
+const ESTIMATED_FRAMES = 40; // that the service tells the cost of
 const LANDMARKS = "landmarks";
 const FIRST_BETWEEN = { shape: "torus" };
 const MOST_BETWEEN = 8; // the service takes more
@@ -340,11 +341,8 @@ class Form {
     const seen = mesh?.report.resolutions.find((one) => one.points_per_cell_edge === edge);
     if (!seen || this.costOf !== own) return; // it is told of what is chosen by now
     const { seconds, memory_mb: memory } = seen.estimate;
-    fill(
-      this.cost,
-      `Usually ready in about ${duration(seconds)} if it lasts ${number(secondsOf(40), 2)} s, with ${bytes(memory * 1e6)} of memory`,
-      frames === 40 ? "." : `; yours lasts ${number(secondsOf(frames), 2)} s.`,
-    );
+    const longer = Math.max(frames / ESTIMATED_FRAMES, 1); // much of a short one is its beginning
+    fill(this.cost, `Usually ready in about ${duration(seconds * longer)}, with ${bytes(memory * 1e6)} of memory.`);
   }
 
   async send(event) {

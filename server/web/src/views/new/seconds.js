@@ -53,6 +53,6 @@ export class Seconds {
 }
 
 /** How long frames last when they are played at the usual rate [s]. */
-export function secondsOf(frames) {
+function secondsOf(frames) {
   return frames / USUAL_RATE;
 }
