@@ -249,23 +249,29 @@ answer = (
 
 
 @pytest.mark.skipif(not landlock.version(), reason="This system has no Landlock.")
-def test_a_child_reads_which_fonts_there_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_child_knows_which_fonts_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_kept: bool
 ) -> None:
-    """In the list that Matplotlib keeps; it cannot change it, for others read it, too."""
+    """By the list that Matplotlib keeps, which it cannot change, or else by one of its own."""
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "matplotlib").mkdir()
-    fonts = tmp_path / "matplotlib/fontlist.json"
-    fonts.write_text("this")
-    code = f"""
-answer = open({str(fonts)!r}).read()
+    if is_kept:
+        (tmp_path / "matplotlib/fontlist.json").write_text("kept")
+    code = """
+from pathlib import Path
+import os
+fonts = Path(os.environ["MPLCONFIGDIR"], "fontlist.json")
 try:
-    open({str(fonts)!r}, "a")
+    fonts.write_text("its own")
 except PermissionError:
-    answer += ", unchanged"
+    pass
+answer = fonts.read_text()
 """
-    assert run(code, Limits(1 << 28, 10)).value == "this, unchanged"
+    answer = run(code, Limits(1 << 28, 10, file_bytes=100)).value
+    assert answer == ("kept" if is_kept else "its own")
+    assert [path.read_text() for path in tmp_path.glob("matplotlib/*")] == ["kept"] * is_kept
 
 
 def test_what_a_task_returns_is_its_answer() -> None:

@@ -23,7 +23,7 @@ from chamfer_morph.worker.sandbox.runner import Answer, Limits
 from morph_engine.child_process import exit_with_parent
 from morph_engine.errors import MorphError
 
-ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph", "morph_engine.geometry.text")
+ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph")
 """What the engine imports when it first needs it: memory of the program, not of a task."""
 
 

@@ -113,7 +113,7 @@ def _program() -> list[Path]:
     """What this program is made of: Python, packages, libraries of the system, fonts."""
     home = Path(os.environ.get("HOME", "/"))
     libraries = os.environ.get("LD_LIBRARY_PATH", "").split(":")
-    fonts = [home / ".fonts", home / ".local/share/fonts", list_of_fonts()]
+    fonts = [home / ".fonts", home / ".local/share/fonts"]
     python = [sys.base_prefix, sys.base_exec_prefix, *sysconfig.get_paths().values(), *sys.path]
     return [*map(Path, SYSTEM), *(Path(path) for path in (*libraries, *python) if path), *fonts]
 

@@ -23,6 +23,7 @@ from typing import IO, Any
 from pydantic_core import to_json
 
 from chamfer_morph.worker.exit_codes import ExitCode
+from chamfer_morph.worker.sandbox import landlock
 from morph_engine.child_process import (
     describe_exit,
     environment_without_secrets,
@@ -154,13 +155,17 @@ def run(
         MorphError: As the function raises it.
     """
     scratch = tempfile.TemporaryDirectory(prefix="morph-", ignore_cleanup_errors=True)
-    limits = replace(limits, writes=(*limits.writes, Path(scratch.name)))
+    limits = replace(
+        limits,
+        reads=(*limits.reads, landlock.list_of_fonts()),
+        writes=(*limits.writes, Path(scratch.name)),
+    )
     process = subprocess.Popen(
         python_command("chamfer_morph.worker.sandbox.child", task),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=environment_without_secrets() | _environment(limits) | {"TMPDIR": scratch.name},
+        env=environment_without_secrets() | _environment(limits) | _written_to(scratch.name),
         start_new_session=True,
     )
     assert process.stdin is not None and process.stderr is not None
@@ -200,6 +205,16 @@ def run(
     if isinstance(answer, MorphError):
         raise answer
     return answer
+
+
+def _written_to(folder: str) -> dict[str, str]:
+    """The one folder of a child for temporary files, and for a list of fonts where there is none.
+
+    The list that Matplotlib keeps for this user is read, and nothing is added to it.
+    """
+    for kept in landlock.list_of_fonts().glob("fontlist*.json"):
+        Path(folder, kept.name).symlink_to(kept)
+    return {"TMPDIR": folder, "MPLCONFIGDIR": folder}
 
 
 def _environment(limits: Limits) -> dict[str, str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+import morph_engine.geometry.text  # noqa: F401 - its memory is the program's, not the task's
 from chamfer_morph.schemas import Fit
 from chamfer_morph.worker.sandbox.runner import Answer
 from morph_engine.geometry.mesh import load_mesh

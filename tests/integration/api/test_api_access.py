@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import httpx
@@ -13,7 +14,7 @@ import pytest
 from morph_engine.results.run_record import RunRecord
 from tests.integration.api import contract
 from tests.integration.api.conftest import MORPH, Api
-from tests.patience import PATIENCE
+from tests.patience import PATIENCE, until
 
 OPERATIONS = [
     (operation["operationId"], method.upper(), path)
@@ -106,8 +107,8 @@ def _furnished(api: Api, run: RunRecord, mesh: str) -> House:
     del api.http.headers["Authorization"]
     job = f"/v1/jobs/{ids['job_id']}"
     ids["export_id"] = post(f"{job}/exports", json={"format": "ply"})["id"]
-    while post(f"{job}/exports", json={"format": "ply"})["state"] == "running":
-        pass
+    export = partial(post, f"{job}/exports", json={"format": "ply"})
+    until(lambda: export()["state"] == "ready")
     ids["mesh_id"] = post("/v1/meshes?name=a.obj", content=mesh)["id"]
     sweep = {"sources": [{"shape": "sphere"}], "targets": [{"shape": "star"}]}
     ids["sweep_id"] = post("/v1/sweeps", json=sweep)["id"]
