@@ -19,6 +19,7 @@ import httpx
 import pytest
 import trimesh
 
+from tests.conftest import MESHES
 from tests.core_environment import MOST_DISTRIBUTIONS, make_core_environment, site_packages_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="paths and processes as of POSIX")
@@ -38,6 +39,10 @@ USER_MODULES = (
 
 
 OLDEST = "3.10 with the oldest packages allowed"
+NEWEST = "3.13 with the newest packages allowed"
+
+OF_THE_CHECKOUT = ("tests/unit/test_architecture_map.py",)
+"""Tests of what a checkout looks like, and no wheel."""
 
 
 def build(target: str, source: Path, folder: Path) -> Path:
@@ -102,13 +107,7 @@ def test_a_wheel_holds_the_page_where_it_was_built(wheel):
 @pytest.mark.distribution
 def test_a_checkout_without_node_builds_the_page(tmp_path):
     """Node.js comes as a package then; nothing else of the machine is needed but a shell."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout
-    for name in listed.rstrip("\0").split("\0"):
-        copy = tmp_path / "source" / name
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, copy, follow_symlinks=False)
+    _copy_committed_files(tmp_path / "source")
     programs = tmp_path / "bin"
     programs.mkdir()
     (programs / "sh").symlink_to(shutil.which("sh"))
@@ -349,6 +348,34 @@ def test_a_worker(installation, tmp_path):
     installation.require_no_foreign_imports()
 
 
+@pytest.mark.distribution
+@pytest.mark.parametrize("version", [OLDEST, NEWEST])
+def test_the_suite_passes(wheel, version, tmp_path):
+    """All that `make test` runs, in a checkout without the packages, which the wheel brings."""
+    python = _install(f"{wheel}[dev]", version, tmp_path)
+    checkout = tmp_path / "checkout"
+    _copy_committed_files(checkout)
+    for package in PACKAGES:
+        shutil.rmtree(checkout / package)
+    left_out = [f"--deselect={name}" for name in OF_THE_CHECKOUT]
+    subprocess.run(
+        [python, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder",
+         *left_out, "tests/integration", "tests/unit"],
+        cwd=checkout, env=os.environ | {"MORPH_MESHES": str(MESHES)}, check=True,
+    )  # fmt: skip
+
+
+def _copy_committed_files(folder: Path) -> None:
+    """Make a checkout of this one, with the changes that are not committed yet."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    for name in listed.rstrip("\0").split("\0"):
+        copy = folder / name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, copy, follow_symlinks=False)
+
+
 def _linked_folders() -> set[str]:
     return {path.name for path in (ROOT / "chamfer_morph").iterdir() if path.is_symlink()}
 
@@ -364,12 +391,9 @@ def _install(requirement: str, version: str, folder: Path) -> Path:
     """Install for a version of Python, in an environment of its own; returns its Python."""
     interpreter = _find_python(version.partition(" ")[0])
     constraints = folder / "constraints.txt"
-    if version == OLDEST:
-        _write_oldest_allowed(constraints, interpreter)
-    else:
-        constraints.write_text(
-            re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
-        )
+    oldest = _oldest_allowed(interpreter) if version == OLDEST else {}
+    versions = {} if version == NEWEST else _locked_versions() | oldest
+    constraints.write_text("\n".join(line for lines in versions.values() for line in lines))
     subprocess.run([interpreter, "-m", "venv", folder / "venv"], check=True)
     python = folder / "venv" / "bin" / "python"
     install = [python, "-m", "pip", "install", "--quiet", "-c", constraints, requirement]
@@ -386,14 +410,27 @@ def _add_wheel(wheel: Path, python: Path) -> None:
     )  # fmt: skip
 
 
-def _write_oldest_allowed(constraints: Path, interpreter: Path) -> None:
-    """The oldest version of each package that pyproject.toml allows."""
-    subprocess.run(
+def _locked_versions() -> dict[str, list[str]]:
+    """The version of each package in the lock file, of some for one Python each."""
+    return _by_name((ROOT / "requirements.lock").read_text())
+
+
+def _oldest_allowed(interpreter: Path) -> dict[str, list[str]]:
+    """The oldest version that pyproject.toml allows of each package of the product."""
+    resolved = subprocess.run(
         [Path(sys.executable).with_name("uv"), "pip", "compile", "--quiet", "--resolution",
-         "lowest-direct", "--extra", "all", "--python", interpreter,
-         "--output-file", constraints, "pyproject.toml"],
-        cwd=ROOT, check=True,
+         "lowest-direct", "--extra", "all", "--python", interpreter, "pyproject.toml"],
+        cwd=ROOT, check=True, capture_output=True, text=True,
     )  # fmt: skip
+    return _by_name(resolved.stdout)
+
+
+def _by_name(requirements: str) -> dict[str, list[str]]:
+    """The lines of a file of requirements by the package that they are of, without hashes."""
+    lines: dict[str, list[str]] = {}
+    for found in re.finditer(r"^([\w.-]+)==[^\\\n]+", requirements, re.M):
+        lines.setdefault(found[1], []).append(found[0].strip())
+    return lines
 
 
 def _extraction_filter() -> dict[str, str]:
