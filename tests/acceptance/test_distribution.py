@@ -391,9 +391,14 @@ def _install(requirement: str, version: str, folder: Path) -> Path:
     """Install for a version of Python, in an environment of its own; returns its Python."""
     interpreter = _find_python(version.partition(" ")[0])
     constraints = folder / "constraints.txt"
-    oldest = _oldest_allowed(interpreter) if version == OLDEST else {}
-    versions = {} if version == NEWEST else _locked_versions() | oldest
-    constraints.write_text("\n".join(line for lines in versions.values() for line in lines))
+    if version == OLDEST:
+        constraints.write_text(_oldest_allowed(interpreter))
+    elif version == NEWEST:
+        constraints.write_text("")
+    else:
+        constraints.write_text(
+            re.sub(r" \\\n +--hash.*", "", (ROOT / "requirements.lock").read_text())
+        )
     subprocess.run([interpreter, "-m", "venv", folder / "venv"], check=True)
     python = folder / "venv" / "bin" / "python"
     install = [python, "-m", "pip", "install", "--quiet", "-c", constraints, requirement]
@@ -410,27 +415,13 @@ def _add_wheel(wheel: Path, python: Path) -> None:
     )  # fmt: skip
 
 
-def _locked_versions() -> dict[str, list[str]]:
-    """The version of each package in the lock file, of some for one Python each."""
-    return _by_name((ROOT / "requirements.lock").read_text())
-
-
-def _oldest_allowed(interpreter: Path) -> dict[str, list[str]]:
-    """The oldest version that pyproject.toml allows of each package of the product."""
-    resolved = subprocess.run(
+def _oldest_allowed(interpreter: Path) -> str:
+    """The oldest version that pyproject.toml allows of each package."""
+    return subprocess.run(
         [Path(sys.executable).with_name("uv"), "pip", "compile", "--quiet", "--resolution",
-         "lowest-direct", "--extra", "all", "--python", interpreter, "pyproject.toml"],
+         "lowest-direct", "--extra", "dev", "--python", interpreter, "pyproject.toml"],
         cwd=ROOT, check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    return _by_name(resolved.stdout)
-
-
-def _by_name(requirements: str) -> dict[str, list[str]]:
-    """The lines of a file of requirements by the package that they are of, without hashes."""
-    lines: dict[str, list[str]] = {}
-    for found in re.finditer(r"^([\w.-]+)==[^\\\n]+", requirements, re.M):
-        lines.setdefault(found[1], []).append(found[0].strip())
-    return lines
+    ).stdout  # fmt: skip
 
 
 def _extraction_filter() -> dict[str, str]:
