@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import igl
 import numpy as np
@@ -17,6 +18,9 @@ from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
 STEPS_PER_H = 3
 """Raster steps per lattice spacing at which the area is taken."""
+
+NEIGHBORS_OVER_H = 1.02
+"""Where the nearest particles of a lattice are, over its spacing."""
 
 CORNERS = np.array(
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
@@ -74,12 +78,29 @@ def count_pieces(points: Points, spacing: float) -> int:
 
 def piece_sizes(points: Points, spacing: float) -> npt.NDArray[np.intp]:
     """Number of particles in each connected piece of the body."""
+    if not len(points):
+        return np.empty(0, np.intp)
+    tree = scipy.spatial.cKDTree(points)
+    neighbors = tree.query_pairs(NEIGHBORS_OVER_H * spacing, output_type="ndarray")
+    group = _connected(len(points), neighbors)
+    # most pieces are whole by now: what may still be linked is what is not of the largest
+    others = np.flatnonzero(group != np.bincount(group).argmax())
     reach = 2 * COVERING_RADIUS_OVER_H * spacing
-    pairs = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = scipy.sparse.coo_array(
-        (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2
+    near = scipy.spatial.cKDTree(points[others]).sparse_distance_matrix(
+        tree, reach, output_type="ndarray"
     )
-    return np.bincount(scipy.sparse.csgraph.connected_components(graph, directed=False)[1])
+    links = np.column_stack((group[others[near["i"]]], group[near["j"]]))
+    return np.bincount(_connected(group.max() + 1, links)[group])
+
+
+def _connected(count: int, pairs: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.int32]:
+    """The number of the connected part that each of some things is in, from 0."""
+    graph = scipy.sparse.coo_array(
+        (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
+    )
+    labels: npt.NDArray[np.int32]
+    _, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    return labels
 
 
 def body_surface(

@@ -37,22 +37,60 @@ _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 def write_result(spool: Spool, path: str | Path | None = None, *, status: Status) -> Path:
     """Assemble the result file of all finished frames; the spool stays as it is.
 
-    The file is assembled in memory, which takes 16 bytes per particle and frame. Without a path it
-    is the spool's own result file.
+    Without a path it is the spool's own result file.
 
     Raises:
         ResultError: A frame of the spool is damaged, or the disk refuses.
     """
     path = spool.result_path if path is None else Path(path)
-    image = io.BytesIO()  # HDF5 may crash the process where a disk is full, a Python file never
-    # older formats have no checksums in their structure, and VTK 9.7 cannot read the latest
-    with h5py.File(image, "w", libver=("v110", "v110")) as file:
+    remedy = f"Free some disk space and resume; the frames are safe in {spool.path}."
+    with (
+        writing(path, remedy),
+        replacing(path) as temporary,
+        _DiskFile(temporary, "w+") as disk,
+        disk.errors_raised_at_end(),
+        # older formats have no checksums in their structure, and VTK 9.7 cannot read the latest
+        h5py.File(disk, "w", libver=("v110", "v110")) as file,
+    ):
         _write_vtk(file.create_group("VTKHDF"), spool)
         _write_morph(file.create_group("morph"), spool, status)
-    with writing(path, f"Free some disk space and resume; the frames are safe in {spool.path}."):
-        with replacing(path) as temporary:
-            temporary.write_bytes(image.getbuffer())
     return path
+
+
+class _DiskFile(io.FileIO):
+    """A file that keeps the first error of its disk to the end: HDF5 may crash at one.
+
+    What is written after that is lost.
+    """
+
+    _error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of some bytes, at the place where the file is."""
+        rest = memoryview(data)
+        try:
+            while rest and self._error is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self._error = error
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Make the file longer or shorter."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._error = self._error or error
+            return self.tell()
+
+    @contextmanager
+    def errors_raised_at_end(self) -> Iterator[None]:
+        """Raise the error that was kept, whatever the body raises for it."""
+        try:
+            yield
+        finally:
+            if self._error is not None:
+                raise self._error
 
 
 @contextmanager

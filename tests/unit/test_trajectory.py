@@ -1,5 +1,7 @@
 """The result file: what VTK reads is what was written, and damage is noticed."""
 
+import sys
+
 import h5py
 import numpy as np
 import pytest
@@ -222,3 +224,27 @@ def test_write_error_has_a_remedy(tmp_path):
         spool.append(0, POSITIONS[0], METRICS[0])
         with pytest.raises(ResultError, match="safe in"):
             write_result(spool, tmp_path / "missing" / "r.vtkhdf", status="complete")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
+@pytest.mark.parametrize("most_bytes", [0, 1, 100, 5000])
+def test_a_disk_that_takes_no_more(result, tmp_path, most_bytes):
+    """Wherever a file ends, the error says where the frames are, and nothing is left."""
+    import resource
+
+    assert most_bytes < result.stat().st_size
+    path = tmp_path / "half.vtkhdf"
+    with Spool.create(tmp_path / "r.vtkhdf", RUN) as spool:
+        for t in range(T):
+            spool.append(t, POSITIONS[t], METRICS[t])
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
+        try:
+            with pytest.raises(ResultError, match=r"File too large.*safe in"):
+                write_result(spool, path, status="complete")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert not list(tmp_path.glob("half*"))
+        write_result(spool, path, status="complete")
+    with Trajectory(path) as trajectory:
+        assert trajectory.frame_count == T
