@@ -502,6 +502,8 @@ def _reading(path: Path, part: str = "") -> Iterator[None]:
     try:
         yield
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        if "memory allocation failed" in str(error):  # as HDF5 says it of a file that is sound
+            raise MemoryError(f"There is too little memory to read {path}.") from error
         raise DamagedError(
             f"Cannot read {part}{path}, which is damaged or not a result file ({error}).",
             "Copy it again from where it was made, or repeat the run.",

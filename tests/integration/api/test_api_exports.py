@@ -76,7 +76,7 @@ def test_a_surface_that_takes_too_much_is_refused(
     make_api: Callable[..., Api], run: RunRecord
 ) -> None:
     """The limit is named, and nothing is left behind."""
-    api = make_api(export_memory_bytes=1 << 20)
+    api = make_api(export_memory_bytes=4 << 20)
     job = api.running(run)
     answer = api.http.get(f"/v1/jobs/{job}/frames/0/surface")
     assert answer.status_code == 422 and "1 MiB" in answer.json()["detail"], answer.text
@@ -169,7 +169,7 @@ def test_exports_are_made_once_and_kept(
 
 def test_exports_that_cannot_be_made(make_api: Callable[..., Api], run: RunRecord) -> None:
     """Faults of the request are found at once, others are told by the export."""
-    api = make_api(export_memory_bytes=1 << 20)
+    api = make_api(export_memory_bytes=4 << 20)
     job = api.finished(run)
     path = f"/v1/jobs/{job}/exports"
     for fault in (

@@ -209,7 +209,8 @@ def test_a_key_from_the_environment_or_a_file(tmp_path: Path) -> None:
             capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip
 
-    store = ApiKeyStore(sa.create_engine(f"sqlite:///{tmp_path / 'morph.sqlite'}"))
+    engine = sa.create_engine(f"sqlite:///{tmp_path / 'morph.sqlite'}", poolclass=sa.pool.NullPool)
+    store = ApiKeyStore(engine)
     for name, secret in (("MORPH_ADMIN_KEY", "a" * 32), ("MORPH_ADMIN_KEY_FILE", "b" * 32)):
         file.write_text(f"{secret}\n")
         started = check(**{name: str(file) if name.endswith("FILE") else secret})
