@@ -79,7 +79,7 @@ def test_a_surface_that_takes_too_much_is_refused(
     api = make_api(export_memory_bytes=4 << 20)
     job = api.running(run)
     answer = api.http.get(f"/v1/jobs/{job}/frames/0/surface")
-    assert answer.status_code == 422 and "1 MiB" in answer.json()["detail"], answer.text
+    assert answer.status_code == 422 and "4 MiB" in answer.json()["detail"], answer.text
     assert not list(api.context.storage.derived_dir(job).glob("surface*"))
 
 
