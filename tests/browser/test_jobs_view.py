@@ -83,7 +83,7 @@ def test_filters_live_in_the_address(service, finished, page):
     """Filters by state and method choose the rows, and a reload keeps them."""
     page.goto("/")
     expect(row(page, "a finished one")).to_be_visible()
-    page.get_by_role("button", name="Failed", exact=True).click()
+    page.get_by_role("button", name="Timed out", exact=True).click()
     expect(page.get_by_text("No job is like that.")).to_be_visible()
     page.get_by_role("button", name="Succeeded", exact=True).click()
     expect(row(page, "a finished one")).to_be_visible()
@@ -94,7 +94,7 @@ def test_filters_live_in_the_address(service, finished, page):
 
     page.reload()
     expect(row(page, "a finished one")).to_be_visible()
-    expect(page.get_by_role("button", name="Failed", exact=True)).to_have_attribute(
+    expect(page.get_by_role("button", name="Timed out", exact=True)).to_have_attribute(
         "aria-pressed", "true"
     )
     expect(page.get_by_label("Method")).to_have_value("physics")
