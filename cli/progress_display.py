@@ -74,7 +74,7 @@ class RunDisplay(ProgressDisplay):
         """Show a finished frame."""
         for event in frame.events:
             if event.kind != "placement":  # told before the first frame
-                self.print(f"frame {event.frame}: {event.message}")
+                self.print(f"in frame {event.frame}: {event.message}")
         self.advance(frame.index, frame.metrics, frame.seconds)
 
     def describe(self, text: str, *, done: int | None = None) -> None:

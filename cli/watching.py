@@ -81,7 +81,7 @@ def _show(event: Event, display: RunDisplay) -> None:
         display.describe(data["stage"])
     elif event.type == "watchdog":
         placed = data["kind"] == "placement"  # which belongs to no frame
-        display.print(data["message"] if placed else f"frame {data['frame']}: {data['message']}")
+        display.print(data["message"] if placed else f"in frame {data['frame']}: {data['message']}")
     elif event.type == "attempt" and (data["attempt"] > 1 or data["resumed_frames"]):
         display.print(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
     elif event.type == "problem" and data["retry"]:

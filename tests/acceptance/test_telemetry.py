@@ -151,7 +151,7 @@ def test_a_job_of_a_killed_worker_goes_on_in_its_trace(
     computed = [span for span in frames if span.parent_id == computing.span_id]
     assert frame_numbers(lost) == list(range(len(lost)))
     assert frame_numbers(computed) == list(range(60 - len(computed), 60))
-    assert 60 - len(computed) > 2  # what the lost run had stored is not computed again
+    assert 60 - len(computed) >= len(lost) - 1 > 1  # at most one frame is computed again
     assert first.end <= lost[0].begin < lost[-1].end <= second.end <= run.begin + 10**9
 
 
