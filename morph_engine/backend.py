@@ -88,7 +88,11 @@ class Backend:
         return ti.Matrix.ndarray(3, 3, self.real, count)
 
     def upload(self, values: NDArray[Any]) -> Any:
-        """Copy a host array, shape [n], [n, w] or [n, 3, 3], to a new device array of reals."""
+        """Copy a host array, shape [n], [n, w] or [n, 3, 3], to a new device array of reals.
+
+        Taichi 1.7 keeps the memory of device arrays on a CPU to the end of the process: make those
+        of a frame once, and fill them again.
+        """
         array = {1: self.scalars, 2: self.vectors, 3: self.matrices}[values.ndim](
             *((len(values), values.shape[1]) if values.ndim == 2 else (len(values),))
         )

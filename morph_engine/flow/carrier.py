@@ -70,6 +70,8 @@ class Carrier:
         self.size: NDArray[np.int64] = end - self.corner + 1
         self._level = backend.active().scalars(int(self.size.prod()))
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
+        most = len(self._axis) ** 3
+        self._back, self._onward = (backend.active().vectors(most) for _ in range(2))
 
     def places(self, share: float) -> Places:
         """Where all that is near the controls comes from and goes; any thread may ask for it."""
@@ -84,9 +86,12 @@ class Carrier:
 
     def blended(self, share: float, places: Places) -> NDArray[np.float32]:
         """phi_s on this box of the fine lattice [dx], of shape `size`."""
-        upload = backend.active().upload
+        for array, points in ((self._back, places.back), (self._onward, places.onward)):
+            whole = np.zeros((array.shape[0], 3), backend.active().numpy_real)
+            whole[: len(points)] = points
+            array.from_numpy(whole)
         carry(
-            upload(places.back), upload(places.onward), *self._ends, self._level, share,
+            self._back, self._onward, *self._ends, self._level, share,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
             ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
             ti.math.ivec3(places.corner), ti.math.ivec3(places.size),

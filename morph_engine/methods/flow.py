@@ -186,6 +186,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._bodies = flow.BodiesAhead(self._path)
         self._nearest_gap = flow.NearestGap(self._settling.cells)
         self._layers = [flow.layer_arrays(layer) for layer in self._simulation.layers]
+        self._positions = device.vectors(len(problem.source))
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
         first, second = (device.scalars(int(self._path.size.prod())) for _ in range(2))
@@ -272,10 +273,10 @@ class Flow(MpmMethod[FlowOptions]):
 
     def _match(self, frame: int) -> None:
         """Match the particles kept, in the order of the source, with the target points."""
-        positions = self.device.upload(self._particles.x)
+        self._positions.from_numpy(self._particles.x)
         if frame % REBUILD_EVERY == 0:
-            self._matches.rebuild(positions)
-        self._matches.update(positions)
+            self._matches.rebuild(self._positions)
+        self._matches.update(self._positions)
 
     def _share(self, frame: int) -> float:
         return self.options.share_of_way(frame, self.problem.config.frames)

@@ -78,6 +78,8 @@ class Transport(MpmMethod[TransportOptions]):
         volume = np.full(len(problem.source), problem.config.spacing**3)
         self._simulation = self._make_simulation(volume, transitions=1)
         self._destination: NDArray[np.float32] | None = None
+        self._begin, self._end = (self.device.vectors(len(problem.source)) for _ in range(2))
+        self._corrected = self.device.scalars(len(problem.source))
         time = self.options.time
         self._frame_seconds = time.dt * time.transitions_per_frame
 
@@ -92,9 +94,10 @@ class Transport(MpmMethod[TransportOptions]):
             self._destination = self._plan()
         goal = self._destination
         order = self._cell_order()
-        begin = device.upload(self.problem.source[order])
-        destination = device.upload(goal[order])
-        corrected = device.scalars(len(order))
+        begin, destination, corrected = self._begin, self._end, self._corrected
+        begin.from_numpy(self.problem.source[order].astype(device.numpy_real))
+        destination.from_numpy(goal[order].astype(device.numpy_real))
+        corrected.fill(0)
         simulation.layers[0].upload(self._particles, order)
         steps = self._steps_per_frame(goal)
         simulation.dt = self._frame_seconds / steps
