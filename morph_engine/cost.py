@@ -54,13 +54,9 @@ def estimate(
     kilobytes = (
         rates.kilobytes_per_particle * particle_count + rates.kilobytes_per_target * target_count
     )
-    result_mb = BYTES_IN_RESULT * particle_count * frames / 1e6  # it is assembled in memory
     return Estimate(
         seconds=STARTUP_SECONDS + cpu_seconds / max(1.0, PARALLEL_EFFICIENCY * workers),
-        memory_mb=MEGABYTES_AT_REST
-        + kilobytes / 1024
-        + rates.bytes_per_node * nodes / 1e6
-        + result_mb,
+        memory_mb=MEGABYTES_AT_REST + kilobytes / 1024 + rates.bytes_per_node * nodes / 1e6,
     )
 
 

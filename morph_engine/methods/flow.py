@@ -82,7 +82,7 @@ class FlowOptions(MpmOptions):
         "viscous": {"memory": 0.2, "tension": 1.0},
         "fluid": {"material": {"youngs_modulus": 1.0}, "memory": 0.0, "tension": 2.0},
     }
-    cost: ClassVar[CostRates] = CostRates(4.2e-6, 0.9e-6, 1.15, 0.2, 0.005, bytes_per_node=230)
+    cost: ClassVar[CostRates] = CostRates(4.2e-6, 0.9e-6, 1.46, 0.2, 0.005, bytes_per_node=230)
     fixed: ClassVar[tuple[str, ...]] = ("frames", "rest", "like_parts", "landmarks")
 
     name: Literal["flow"] = "flow"
