@@ -34,14 +34,17 @@ def test_too_little_memory_is_refused_before_the_run(record, monkeypatch, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_frames_of_a_long_run_count(record, monkeypatch):
-    """The result is assembled in memory: 16 bytes a particle and frame."""
-    free = 16 * record.particle_count * 100_000
-    monkeypatch.setattr(morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=free))
-    morphing.check_resources(record)
-    with pytest.raises(ResourceError, match="MB of memory"):
-        long = CONFIG.model_copy(update={"frames": 100_000})
-        morphing.check_resources(replace(record, config=long))
+def test_the_frames_of_a_long_run_take_disk_alone(record, monkeypatch, tmp_path):
+    """The result is written as it is made: 16 bytes a particle and frame, and no memory."""
+    long = replace(record, config=CONFIG.model_copy(update={"frames": 100_000}))
+    size = 16 * record.particle_count * 100_000
+    monkeypatch.setattr(morphing.psutil, "virtual_memory", lambda: SimpleNamespace(available=size))
+    monkeypatch.setattr(morphing.psutil, "disk_usage", lambda path: SimpleNamespace(free=size))
+    out = tmp_path / "result.vtkhdf"
+    morphing.check_resources(record, out)
+    morphing.check_resources(long)
+    with pytest.raises(ResourceError, match="MB of disk"):
+        morphing.check_resources(long, out)
 
 
 def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path):
