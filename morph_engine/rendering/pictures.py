@@ -46,6 +46,9 @@ PARTICLE_RADIUS_OVER_H = 0.55
 OVERSAMPLING = 2
 """Pixels are drawn so many times finer, and averaged."""
 
+SMOOTH_OVER_RADIUS = 3
+"""Reach and depth of the mean that makes one surface of particles, in radii of theirs."""
+
 MARGIN = 1.06
 KINDS: dict[str, VideoKind] = {
     ".mp4": "mp4",
@@ -184,6 +187,7 @@ def picture(
     background: tuple[float, float, float] | None = WHITE,
     material: str | None = None,
     ground: Ground | None = None,
+    smooth: bool = False,
 ) -> npt.NDArray[np.uint8]:
     """Draw particles as small lit spheres, or a surface.
 
@@ -201,6 +205,7 @@ def picture(
         background: RGB, 0 to 1; None for a transparent one.
         material: A name of `materials.MATERIALS`; plain matter under one lamp when not given.
         ground: What it casts a soft shadow on, if on anything.
+        smooth: Show particles as one smooth surface, coarser and cheaper than a reconstructed one.
 
     Returns:
         RGB, shape [height, width, 3], uint8; on a transparent background RGBA, [height, width, 4].
@@ -211,7 +216,7 @@ def picture(
         name = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
         colors = colormap.colors(values, low, high, palette=name)
     camera = view or Camera.facing(points, look(), size)
-    image = _painted(points, spacing, colors, faces, camera, size, material, background)
+    image = _painted(points, spacing, colors, faces, camera, size, material, background, smooth)
     hidden = _shadow(ground, points, spacing, faces, camera, size) if ground else 0
     if background is None:
         image[..., 3] += (1 - image[..., 3]) * hidden
@@ -268,6 +273,7 @@ def thumbnail(
         background=None,
         material=THUMBNAIL_LOOK,
         ground=ground,
+        smooth=True,
     )
     file = io.BytesIO()
     Image.fromarray(image).save(file, "WEBP", quality=THUMBNAIL_QUALITY)
@@ -502,6 +508,7 @@ def _painted(
     size: Size,
     material: str | None = None,
     background: tuple[float, float, float] | None = None,
+    smooth: bool = False,
 ) -> npt.NDArray[np.float32]:
     """The shape alone, with what of the background passes through it.
 
@@ -516,6 +523,8 @@ def _painted(
         finite = np.isfinite(points).all(axis=1)
         radius = max(PARTICLE_RADIUS_OVER_H * spacing * scale, 1.0)
         canvas.spheres(camera.seen(points[finite], fine), radius, rgb[finite])
+        if smooth:
+            canvas.smooth(round(SMOOTH_OVER_RADIUS * radius), SMOOTH_OVER_RADIUS * radius)
     else:
         normals = (vertex_normals(points, faces) @ camera.rotation.T).astype(np.float32)
         canvas.triangles(camera.seen(points, fine), normals, rgb, faces)

@@ -147,6 +147,29 @@ class Canvas:
         self._normal[pixel] = normal / np.maximum(length, LEAST_AREA)
         self._color[pixel] = np.einsum("fk,fki->fi", share, colors[faces[owner]])
 
+    def smooth(self, reach: int, apart: float) -> None:
+        """Make one smooth surface of the spheres that were drawn, as fluids of particles are shown.
+
+        Depths become their mean over neighbouring pixels on the same surface, in a narrow range of
+        depths (Truong and Yuksel, A Narrow-Range Filter for Screen-Space Fluid Rendering, 2018),
+        and normals the gradient of that.
+
+        Args:
+            reach: How far the mean goes [pixels].
+            apart: What differs more in depth [pixels] is of another surface.
+        """
+        depth = self.depth
+        for along in (0, 1, 0, 1):
+            depth = _mean_along(depth, depth[..., None], along, reach, apart)[..., 0]
+        self._depth = depth.reshape(-1)
+        aside, below = (_least_slope(depth, along, apart) for along in (1, 0))
+        normal = np.stack([-aside, below, np.ones_like(aside)], axis=2)
+        for along in (0, 1):
+            normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+            normal = _mean_along(depth, normal, along, reach, apart)
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+        self._normal = normal.reshape(-1, 3)
+
     def lit(self, scale: float) -> Floats:
         """The picture under one light, darker in hollows that are looked for over `scale` [pixels].
 
@@ -265,6 +288,52 @@ class Canvas:
         apart = (height - around[: self._height, : self._width]) / np.float32(scale)
         openness: Floats = np.clip(1 + 0.35 * apart, 0.45, 1.25).astype(np.float32)
         return openness
+
+
+def _mean_along(depth: Floats, values: Floats, along: int, reach: int, apart: float) -> Floats:
+    """A weighted mean of values at neighbouring pixels in a row or column, of one surface.
+
+    Args:
+        depth: Depths that tell surfaces apart, -inf where nothing is, shape [height, width].
+        values: What the mean is of, shape [height, width, k].
+        along: 0 for columns, 1 for rows.
+        reach: How far it goes [pixels].
+        apart: What differs more in depth is of another surface [pixels].
+    """
+    hit = np.isfinite(depth)
+    known = np.where(hit[..., None], values, np.float32(0))
+    total, weight = np.zeros_like(known), np.zeros_like(depth)
+    for step in range(-reach, reach + 1):
+        here, there = _pairs(step, along)
+        with np.errstate(invalid="ignore"):  # of nothing and nothing
+            near = np.abs(depth[there] - depth[here]) <= np.float32(apart)
+        share = near * np.float32(np.exp(-2 * (step / reach) ** 2))
+        total[here] += share[..., None] * known[there]
+        weight[here] += share
+    mean: Floats = np.where(
+        hit[..., None], total / np.maximum(weight, LEAST_AREA)[..., None], values
+    )
+    return mean
+
+
+def _least_slope(depth: Floats, along: int, apart: float) -> Floats:
+    """The change of depth from pixel to pixel: the smaller one of both sides, on one surface."""
+    slope = np.full_like(depth, np.inf)
+    for step in (1, -1):
+        here, there = _pairs(step, along)
+        with np.errstate(invalid="ignore"):  # of nothing and nothing
+            side = step * (depth[there] - depth[here])
+        slope[here] = np.where(np.abs(side) < np.abs(slope[here]), side, slope[here])
+    slope[np.abs(slope) > np.float32(apart)] = 0
+    return slope
+
+
+def _pairs(step: int, along: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Pixels, and those that lie some pixels further on."""
+    first, last = slice(None, -abs(step) or None), slice(abs(step), None)
+    here, there = (first, last) if step > 0 else (last, first)
+    before = (slice(None),) * along
+    return (*before, here), (*before, there)
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

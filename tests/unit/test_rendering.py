@@ -81,6 +81,36 @@ def test_surface_and_particles_have_the_same_outline(lattice_ball):
     assert (particles & triangles).sum() / (particles | triangles).sum() > 0.93
 
 
+def test_smooth_particles_are_lit_as_their_surface_is(lattice_ball):
+    """A ball's particles are shaded nearly as its surface, not as so many beads."""
+    ball = lattice_ball(4.0, 0.4)
+    found = reconstruct_surface(ball, 0.4)
+    shown = {"view": Camera.facing(ball, look(), SMALL), "size": SMALL, "spacing": 0.4}
+    surface = picture(found.vertices, faces=found.faces, **shown).astype(float)
+    within = binary_erosion(ink(surface), iterations=5)
+
+    def levels_off(**how):
+        return np.abs(picture(ball, **shown, **how) - surface)[within].mean()
+
+    assert levels_off(smooth=True) < levels_off() / 4
+
+
+def test_smoothing_keeps_what_lies_behind_apart():
+    """A plate before another keeps its edge: both are lit as each is alone."""
+    lines = np.arange(-3, 3.2, 0.2)
+    plate = np.stack(np.meshgrid(lines, lines, [0.0]), axis=-1).reshape(-1, 3)
+    near = plate[plate[:, 0] > 0] + [0, 0, 4.0]
+    together = np.concatenate([plate, near])
+    canvases = []
+    for points in (near, together):
+        canvas = Canvas(*SMALL)
+        canvas.spheres((10 * points).astype(np.float32), 2.0, np.zeros_like(points, np.float32))
+        canvas.smooth(6, 6.0)
+        canvases.append(canvas)
+    alone, both = canvases
+    np.testing.assert_array_equal(alone.depth[alone.covered], both.depth[alone.covered])
+
+
 def test_a_turntable_keeps_everything_in_the_picture(lattice_ball):
     """From every side a long shape stays clear of the picture's edge, and nearly fills it."""
     points = lattice_ball(3.0, 0.6) * np.array([1.0, 1.0, 3.0])
