@@ -241,7 +241,9 @@ def test_a_job_that_fails_says_so_and_keeps_its_frames(failed, new_page, size):
     headline = page.locator(".headline")
     found = re.compile(r"cannot go on after (\d+) frames?: a particle is faster")
     expect(headline).to_contain_text(found)
-    expect(headline).to_contain_text("What is finished is kept; try more “Frames”")
+    expect(headline).to_contain_text(
+        "What is finished is kept; try more “Frames”, or “Transitions per frame” under “Time”"
+    )
     finished = int(found.search(headline.text_content())[1])
     expect(headline).to_contain_text(f"{finished} of {HURRIED} frames")
     expect_frame(page, 1, of=HURRIED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from tests.animated_pair import FPS
 from tests.browser.test_animated_glb import playing, validated
 from tests.browser.test_job_view import (
     COMPILING,
-    PATIENCE,
     changed,
     details,
     expect_frame,
@@ -90,30 +88,26 @@ def test_particles_and_surface_carry_the_colours_of_the_shapes(page, colored, sh
     show(page, colored, FRAMES, shape)
     (red, green, blue), (other_red, other_green, other_blue) = sides(page)
     assert green > max(red, blue) and min(other_red, other_blue) > other_green
-    expect(page.get_by_label("Colour", exact=True)).to_have_value("own")
+    colour = page.get_by_label("Colour", exact=True)
+    expect(colour.locator("option:checked")).to_have_text("Of the shapes")
     before = picture(page)
-    page.get_by_label("Colour", exact=True).select_option("look")
+    colour.select_option("look")
     changed(page, before)
     left, right = sides(page)
     assert np.abs(left - right).max() < 60  # light alone
 
 
 def test_a_shape_without_colours_asks_for_none(page, service):
-    """The usual view of a job whose shapes have none is that of the look."""
+    """Of a job whose shapes have none, the look's colour is the only plain one."""
     job = service.submit(name="plain", frames=2, method="dco")
     service.wait_for(job, "succeeded", seconds=COMPILING)
-    page.goto(f"/jobs/{job}?frame=2&shape=points&quality=plain")
+    with page.expect_response(f"**/jobs/{job}/colors*") as asked:
+        page.goto(f"/jobs/{job}?frame=2&shape=points&quality=plain")
+    assert asked.value.headers["morph-shapes"] == "0"
     expect_frame(page, 2, 2)
     colour = page.get_by_label("Colour", exact=True)
-    expect(colour).to_have_value("own")
-    deadline = time.monotonic() + PATIENCE
-    shown = []
-    while len(shown) < 2 or shown[0] != shown[1]:  # drawn more finely once the machine has time
-        assert time.monotonic() < deadline, "The colours make a difference."
-        shown = []
-        for value in ("look", "own"):
-            colour.select_option(value)
-            shown.append(picture(page))
+    expect(colour.locator("option:checked")).to_have_text("Of the look")
+    assert "Of the shapes" not in colour.inner_text()
 
 
 @pytest.fixture(scope="module", params=[None, 256], ids=["corners", "textures"])

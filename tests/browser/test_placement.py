@@ -9,6 +9,7 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from playwright.sync_api import expect
 
@@ -104,6 +105,35 @@ def test_built_in_shapes_are_turned_too(page):
         target.get_by_label("Turn about z, target").fill("90")
         target.get_by_label("Turn about z, target").blur()
     settle(page)
+
+
+def test_a_shape_that_lies_is_stood_up_with_a_click(page):
+    """Where a file does not say which way is up, the form says so, and turns it by quarters."""
+    page.goto("/new")
+    egg = trimesh.creation.icosphere().apply_scale([1, 1, 2])
+    file = {
+        "name": "egg.obj",
+        "mimeType": "model/obj",
+        "buffer": egg.export(file_type="obj").encode(),
+    }
+    target = card(page, "To")
+    target.get_by_label("Mesh file of the target").set_input_files(file)
+    unknown = target.get_by_text("The file does not say which way is up.")
+    expect(unknown).to_be_visible()
+    settle(page)
+    lying = width_of(page, "To")
+    over = target.get_by_role("button", name="Tip it over")
+    over.click()
+    expect(unknown).to_be_hidden()
+    expect(target.get_by_label("Turn about x, target")).to_have_value("-90")
+    settle(page)
+    page.wait_for_timeout(SETTLED)
+    assert width_of(page, "To") < 0.8 * lying
+    for angle in ("180", "90", "0"):
+        over.click()
+        expect(target.get_by_label("Turn about x, target")).to_have_value(angle)
+    assert "placement" not in page.url
+    expect(unknown).to_be_visible()
 
 
 def width_of(page, label):

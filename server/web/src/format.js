@@ -95,9 +95,17 @@ export function jobName(job) {
   return job.name || jobShapes(job);
 }
 
+/** What names of shapes begin with that are letters. */
+export const TEXT = "text:";
+
 /** What becomes what in a job. */
 export function jobShapes({ source_name: source, via_names: via = [], target_name: target }) {
-  return [source, ...via, target].join(" → ");
+  return [source, ...via, target].map(shapeName).join(" → ");
+}
+
+/** What a shape is called: letters in quotation marks, everything else by its name. */
+function shapeName(name) {
+  return name.startsWith(TEXT) ? `“${name.slice(TEXT.length)}”` : name;
 }
 
 /** What files of a job are called, without an ending. */

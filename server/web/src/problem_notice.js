@@ -1,7 +1,9 @@
 /** A problem as a block that says what is wrong and what to do about it. */
 
 import { h } from "./dom.js";
-import { settingName } from "./setting_titles.js";
+import { learnAllTitles, settingName } from "./setting_titles.js";
+
+const PATH = /^[a-z_]+(\.[a-z_]+)*$/;
 
 export function problemNotice(error) {
   return h(
@@ -16,5 +18,17 @@ export function problemNotice(error) {
 export function inTitles(text) {
   return text
     .split("`")
-    .map((part, index) => (index % 2 ? (settingName(part) ?? h("code", null, part)) : part));
+    .map((part, index) => (index % 2 ? (settingName(part) ?? code(part)) : part));
+}
+
+/** What may be a setting whose title is not known yet: until it is, by its path. */
+function code(part) {
+  const shown = h("code", null, part);
+  if (PATH.test(part)) {
+    learnAllTitles().then(() => {
+      const name = settingName(part);
+      if (name) shown.replaceWith(name);
+    });
+  }
+  return shown;
 }

@@ -155,6 +155,12 @@ export class Display {
     this.drawn.textContent = still === moving ? `Drawn: ${still}` : `Drawn: ${still}; in motion: ${moving}`;
   }
 
+  /** Offer the colours of the shapes, which have some. */
+  offerOwn() {
+    this.own = true;
+    this.#reflect();
+  }
+
   #choice(name, label, options, title) {
     const id = `display-${name}`;
     const select = h(
@@ -173,6 +179,10 @@ export class Display {
 
   #reflect() {
     for (const [name, select] of Object.entries(this.selects)) select.value = this.state[name];
+    const [own, look] = this.selects.colour.options;
+    const both = this.own || this.state.colour === "look";
+    own.text = both ? PLAIN_COLOURS[0][1] : PLAIN_COLOURS[1][1];
+    look.hidden = look.disabled = !both;
     this.slider.hidden = this.state.axis === "none";
     this.drawn.hidden = this.state.quality !== "auto"; // else it is what was chosen
     this.reading.textContent = `${this.state.axis} = ${number(this.state.offset, 3)} dx`;

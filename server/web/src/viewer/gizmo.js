@@ -3,6 +3,7 @@ import { Euler, MathUtils, Matrix4, Object3D, Quaternion, Vector3 } from "three"
 import { TransformControls } from "three/addons/controls/TransformControls.js";
 
 const MODES = { turn: "rotate", move: "translate", scale: "scale" };
+const COLOURS = ["#d64045", "#3f9b4f", "#3a66d1", "#c25e00"]; // of x, y, z and of turns about the eye; seen on light and dark
 const SIZE = 2.2; // of what three.js takes for usual, which is made for larger views
 
 /** Handles at the centre of the particles, which follow until they are let go. */
@@ -20,6 +21,7 @@ export class Gizmo {
     this.controls = new TransformControls(viewer.camera, viewer.canvas);
     this.controls.setMode(MODES[mode]);
     this.controls.setSpace("world");
+    this.controls.setColors(...COLOURS);
     this.controls.size = SIZE;
     this.helper = this.controls.getHelper();
     viewer.scene.add(this.handle, this.helper);

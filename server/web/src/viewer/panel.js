@@ -51,14 +51,16 @@ export class Panel {
    * @param {object} options.display see display.js.
    * @param {(view: object) => void} [options.onView] hears how the user moves the camera.
    * @param {(names: object) => void} [options.onQuality] hears how finely is drawn, see viewer.js.
+   * @param {() => void} [options.onOwn] hears that the shapes have colours of their own.
    * @param {() => void} [options.onArrival] hears that a frame has come.
    * @param {() => Promise<object | null>} [options.sharedRange] the range of several jobs together.
    */
-  constructor(jobId, { signal, display, onView, onQuality, onArrival = () => {}, sharedRange = null }) {
+  constructor(jobId, { signal, display, onView, onQuality, onOwn = () => {}, onArrival = () => {}, sharedRange = null }) {
     this.jobId = jobId;
     this.signal = signal;
     this.display = { ...display };
     this.sharedRange = sharedRange;
+    this.onOwn = onOwn;
     this.metrics = () => null;
     this.total = 0;
     this.legs = 1;
@@ -418,7 +420,10 @@ export class Panel {
     if (this.#own && (!this.#grows || known < 2 * this.#ownOf)) return this.#own;
     this.#ownOf = known;
     const asked = colours(this.jobId, { signal: this.signal })
-      .then((found) => found && new OwnColors(found.bytes, found.reached))
+      .then((found) => {
+        if (found) this.onOwn();
+        return found && new OwnColors(found.bytes, found.reached);
+      })
       .catch(() => {
         if (this.#own === asked) this.#own = null; // asked for again with the next frame
         return null;

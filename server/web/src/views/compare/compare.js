@@ -51,6 +51,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       display: display.state,
       onView: (view) => links.look(panel, view),
       onQuality: (names) => display.tell(names),
+      onOwn: () => display.offerOwn(),
       sharedRange: () => links.range(),
       onArrival: () => settle(),
     });

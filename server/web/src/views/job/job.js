@@ -35,7 +35,8 @@ export async function show(root, { id }, signal) {
   const there = AbortSignal.any([signal, ending.signal]);
   const display = new Display({ onChange: (state) => panel.setDisplay(state) });
   const onQuality = (names) => display.tell(names);
-  const panel = new Panel(id, { signal: there, display: display.state, onQuality });
+  const onOwn = () => display.offerOwn();
+  const panel = new Panel(id, { signal: there, display: display.state, onQuality, onOwn });
   const curves = new Curves({ onSeek: (index) => timeline.choose(index), signal: there });
   let resting = 0;
   const timeline = new Timeline({

@@ -3,6 +3,7 @@
 import { picture } from "../../api.js";
 import { fill, h, redraw, svg } from "../../dom.js";
 import { ago, duration, jobName, percent, plural, state as stateWord } from "../../format.js";
+import { inTitles } from "../../problem_notice.js";
 import { actions } from "./actions.js";
 
 const PICTURE_PAUSE = 3000; // [ms] at least between two pictures of a job that runs
@@ -125,7 +126,7 @@ function progress(job) {
   }
   return [
     h("p", { class: "small" }, `${frame} of ${plural(frames, "frame")}`),
-    job.problem && h("p", { class: "small cause" }, job.problem.cause),
+    job.problem && h("p", { class: "small cause" }, inTitles(job.problem.cause)),
   ];
 }
 

@@ -2,14 +2,13 @@
 
 import { get, upload } from "../../api.js";
 import { fill, h } from "../../dom.js";
-import { count, plural } from "../../format.js";
+import { TEXT, count, plural } from "../../format.js";
 import { problemNotice } from "../../problem_notice.js";
 import { droppedFiles, packed, pickedFiles } from "./pack.js";
 import { Pose } from "./pose.js";
 import { Preview } from "./preview.js";
 
 const ACCEPTED = ".obj,.ply,.stl,.off,.glb,.gltf,.zip,.mtl,.bin,.png,.jpg,.jpeg,.webp";
-const TEXT = "text:";
 const LONGEST_TEXT = 60; // characters
 const EARLIER = 50;
 
@@ -60,6 +59,7 @@ export class Chooser {
       this.preview.count,
       this.report,
       this.preview.warnings,
+      this.pose?.upright,
       this.pose?.element,
     );
     this.takeDrops();
@@ -92,7 +92,7 @@ export class Chooser {
     }
     this.shape = shape;
     this.posed = pose;
-    if (pose) this.pose?.show(pose, this.upwards());
+    this.showPose();
     // two built-in shapes as they are do not look at each other
     const end = this.role === "source" ? "target" : "source";
     const alone = !shape.mesh && !other.mesh && !sampling.placement;
@@ -341,12 +341,17 @@ export class Chooser {
       this.known.set(id, mesh);
       this.listEarlier();
       if (this.address === id) fill(this.report, report(mesh));
-      if (this.address === id && this.posed) this.pose?.show(this.posed, this.upwards());
+      if (this.address === id) this.showPose();
     } catch (error) {
       if (this.signal.aborted) return;
       if (error.name !== "Problem") throw error;
       fill(this.trouble, problemNotice(error));
     }
+  }
+
+  showPose() {
+    const mesh = this.shape.mesh && this.known.get(this.shape.mesh);
+    if (this.posed) this.pose?.show(this.posed, this.upwards(), Boolean(mesh && !mesh.report.up));
   }
 
   /** What the file tells about the upward axis. */

@@ -2,6 +2,7 @@
 
 import { get, post } from "../../api.js";
 import { choice, offer } from "../../choice.js";
+import { methodsWith, settings } from "../../config_schema.js";
 import { fill, h, reveal } from "../../dom.js";
 import { bytes, duration } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
@@ -14,7 +15,6 @@ import { Methods } from "./methods.js";
 import { AS_IT_IS, posesOf } from "./pose.js";
 import { Landmarks } from "./landmarks.js";
 import { research } from "./research.js";
-import { methodsWith, settings } from "./schema.js";
 import { Seconds } from "./seconds.js";
 import { Settings } from "./settings.js";
 import "./new.css";

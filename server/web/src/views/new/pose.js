@@ -13,6 +13,7 @@ const HANDLES = [
 /** The pose of nothing that was asked for. */
 export const AS_IT_IS = { up: "auto", rotate: [0, 0, 0], scale: 1, move: [0, 0, 0] };
 
+const QUARTER = 90; // [degrees]
 const TURNS = ["up", "rotate"];
 
 /**
@@ -47,6 +48,17 @@ export class Pose {
     this.said = h("span", { class: "quiet small" });
     this.trouble = h("p", { class: "fault", role: "alert" });
     this.up = this.upField();
+    this.unknown = h("span", { class: "small", hidden: true }, "The file does not say which way is up.");
+    this.upright = h(
+      "div",
+      { class: "row upright" },
+      this.unknown,
+      h(
+        "button",
+        { type: "button", class: "compact", title: "Turn it by 90° about x", on: { click: () => this.tip() } },
+        "Tip it over",
+      ),
+    );
     this.turns = this.vector("rotate", "Turn about", "°", 15);
     this.moves = this.vector("move", "Move along", "grid units", 1);
     this.factor = this.number("scale", "Size", 0.1);
@@ -81,9 +93,11 @@ export class Pose {
    *
    * @param {object} pose
    * @param {string} guess what `auto` makes of the upward axis, in words
+   * @param {boolean} [unknown] whether that is nothing
    */
-  show(pose, guess) {
+  show(pose, guess, unknown = false) {
     this.pose = pose;
+    this.unknown.hidden = !unknown || pose.up !== "auto" || pose.rotate.some(Boolean);
     fill(this.trouble);
     this.up.select.value = pose.up;
     fill(this.up.auto, guess ? `As the file tells (${guess})` : "As the file tells");
@@ -126,6 +140,13 @@ export class Pose {
       scale: rounded(before * scale, 3),
       move: from.map((one, i) => rounded(one + move[i], 2)),
     });
+  }
+
+  /** Turn it from lying to standing, to its head, and so on. */
+  tip() {
+    const [x, ...others] = this.pose.rotate;
+    const turned = x - QUARTER <= -180 ? x - QUARTER + 360 : x - QUARTER;
+    this.tell({ rotate: [turned, ...others] });
   }
 
   forget() {
