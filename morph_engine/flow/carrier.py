@@ -1,5 +1,6 @@
 """Distances that a warp carries, blended on the fine lattice."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,12 @@ REFINEMENT = 2
 
 COARSENING = 2
 """Grid cells between the points at which a warp is evaluated."""
+
+CELL = REFINEMENT * COARSENING
+"""Lattice steps of the distances between these points."""
+
+STEEPEST = 3.0
+"""What a carried distance changes at most on a path as long as one: warps squeeze."""
 
 MARGIN = 3.0
 """Distances are blended so far from the controls [dx]; the body ends nearer to them."""
@@ -72,6 +79,9 @@ class Carrier:
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
         most = len(self._axis) ** 3
         self._back, self._onward = (backend.active().vectors(most) for _ in range(2))
+        self._coarse = backend.active().scalars(most)
+        half_diagonal = math.sqrt(3) / 2 * COARSENING * grid.dx
+        self._far = STEEPEST * half_diagonal
 
     def places(self, share: float) -> Places:
         """Where all that is near the controls comes from and goes; any thread may ask for it."""
@@ -91,7 +101,7 @@ class Carrier:
             whole[: len(points)] = points
             array.from_numpy(whole)
         carry(
-            self._back, self._onward, *self._ends, self._level, share,
+            self._back, self._onward, *self._ends, self._coarse, self._level, share, self._far,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
             ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
             ti.math.ivec3(places.corner), ti.math.ivec3(places.size),
@@ -116,14 +126,46 @@ def interpolated(field: ti.template(), along, size):
     return total
 
 
+@ti.func
+def blended(
+    source: ti.template(), target: ti.template(), back, onward, share: float,
+    origin: float, step: float, size,
+):  # fmt: skip
+    """Both distances, at the places where a point comes from and goes, weighted by the share."""
+    first = interpolated(source, (back - origin) / step, size)
+    last = interpolated(target, (onward - origin) / step, size)
+    return (1 - share) * first + share * last
+
+
+@ti.func
+def interpolated_in_layer(field: ti.template(), i: int, j: int, k: int, x: float, y: float, size):
+    """Bilinear interpolation in one layer of a lattice, x and y beyond its point i, j."""
+    near, far = (i * size.y + j) * size.z + k, ((i + 1) * size.y + j) * size.z + k
+    return (1 - x) * ((1 - y) * field[near] + y * field[near + size.z]) + x * (
+        (1 - y) * field[far] + y * field[far + size.z]
+    )
+
+
+@ti.func
+def is_far(coarse: ti.template(), i: int, j: int, k: int, size, far: float):
+    """Whether no corner of a cell is near the surface."""
+    nearest = abs(coarse[(i * size.y + j) * size.z + k])
+    for a, b, c in ti.static(ti.ndrange(2, 2, 2)):
+        corner = coarse[((i + a) * size.y + j + b) * size.z + k + c]
+        nearest = ti.min(nearest, abs(corner))
+    return nearest > far
+
+
 @ti.kernel
 def carry(
     back: ti.types.ndarray(),
     onward: ti.types.ndarray(),
     source: ti.types.ndarray(),
     target: ti.types.ndarray(),
+    coarse: ti.types.ndarray(),
     level: ti.types.ndarray(),
     share: float,
+    far: float,
     origin: float,
     step: float,
     size: ti.math.ivec3,
@@ -135,15 +177,36 @@ def carry(
     """Blend both distances, each at the place where a point of the lattice comes from or goes.
 
     `back` and `onward` hold those places for a box of the coarser lattice, `level` what is blended
-    for one of the fine lattice.
+    for one of the fine lattice. First it is blended at the points of the coarser one, and what lies
+    between them is interpolated where all around is `far` from the surface [dx]: most of it. A row
+    of points along z goes from one coarser cell to the next.
     """
-    for n in range(level.shape[0]):
-        place = low + ti.Vector([n // (box.y * box.z), (n // box.z) % box.y, n % box.z])
-        along = ti.cast(place, float) / (REFINEMENT * COARSENING) - corner
-        blended = FAR
-        if along.min() >= 0 and (coarse_size - 1 - along).min() >= 0:
-            here = (interpolated(back, along, coarse_size) - origin) / step
-            there = (interpolated(onward, along, coarse_size) - origin) / step
-            blended = (1 - share) * interpolated(source, here, size)
-            blended += share * interpolated(target, there, size)
-        level[n] = blended
+    for n in range(coarse_size.x * coarse_size.y * coarse_size.z):
+        coarse[n] = blended(source, target, back[n], onward[n], share, origin, step, size)
+    for row in range(box.x * box.y):
+        for k in range(box.z):
+            level[row * box.z + k] = FAR
+        column, line = low.x + row // box.y, low.y + row % box.y
+        i, j = column // CELL - corner.x, line // CELL - corner.y
+        x, y = (column % CELL) / float(CELL), (line % CELL) / float(CELL)
+        if 0 <= i < coarse_size.x - 1 and 0 <= j < coarse_size.y - 1:
+            for cell in range(coarse_size.z - 1):
+                first = (corner.z + cell) * CELL - low.z
+                begin, end = ti.max(first, 0), ti.min(first + CELL, box.z)
+                if is_far(coarse, i, j, cell, coarse_size, far):
+                    near = interpolated_in_layer(coarse, i, j, cell, x, y, coarse_size)
+                    beyond = interpolated_in_layer(coarse, i, j, cell + 1, x, y, coarse_size)
+                    for k in range(begin, end):
+                        z = (k - first) / float(CELL)
+                        level[row * box.z + k] = (1 - z) * near + z * beyond
+                else:
+                    here = interpolated_in_layer(back, i, j, cell, x, y, coarse_size)
+                    there = interpolated_in_layer(onward, i, j, cell, x, y, coarse_size)
+                    here_on = interpolated_in_layer(back, i, j, cell + 1, x, y, coarse_size)
+                    there_on = interpolated_in_layer(onward, i, j, cell + 1, x, y, coarse_size)
+                    for k in range(begin, end):
+                        z = (k - first) / float(CELL)
+                        level[row * box.z + k] = blended(
+                            source, target, (1 - z) * here + z * here_on,
+                            (1 - z) * there + z * there_on, share, origin, step, size,
+                        )  # fmt: skip

@@ -29,6 +29,7 @@ from morph_engine.flow import (
     sample_controls,
 )
 from morph_engine.flow.body import refined
+from morph_engine.flow.carrier import CELL, Carrier
 from morph_engine.flow.cell_list import CellList
 from morph_engine.flow.limbs import in_turn
 from morph_engine.flow.settling import FILLING, LONGEST_MOVE, REACH, RELAXATION, UNEVEN
@@ -460,6 +461,34 @@ def test_a_warp_knows_where_points_come_from_and_go(turned) -> None:
     begin, end = warp.ends(warp.forward(warp.follow(source), 0.4), 0.4)
     assert np.abs(begin - source).mean() < 0.05
     assert np.abs(end - warp.forward(warp.follow(source), 1.0)).mean() < 0.1
+
+
+def test_distances_are_carried_exactly_near_the_surface(turned) -> None:
+    """Where it matters they are blended point by point; farther out nothing gets near to it."""
+    source, turn, warp, _ = turned
+    axis, share = fine_axis(GRID), 0.4
+    ends = [cloud_distance(body, axis, 0.5) for body in (source, turn.apply(source))]
+    carrier = Carrier(warp, ends, GRID)
+    places = carrier.places(share)
+    level = carrier.blended(share, places)
+    points = np.stack(np.meshgrid(*map(np.arange, level.shape), indexing="ij")) + (
+        carrier.corner.reshape(3, 1, 1, 1)
+    )
+    along = points / CELL - np.reshape(places.corner, (3, 1, 1, 1))
+    blended = 0
+    for weight, at, end in ((1 - share, places.back, ends[0]), (share, places.onward, ends[1])):
+        place = [
+            scipy.ndimage.map_coordinates(one.reshape(places.size), along, order=1, mode="nearest")
+            for one in at.T
+        ]
+        there = (np.stack(place) - GRID.origin) / (axis[1] - axis[0])
+        blended += weight * scipy.ndimage.map_coordinates(end, there, order=1, mode="nearest")
+    inside = (along >= 0).all(axis=0) & (along.T < np.array(places.size) - 1).all(axis=-1).T
+    near = inside & (np.abs(blended) < 1)
+    assert near.sum() > 1000
+    assert level[near] == pytest.approx(blended[near], abs=1e-4)
+    np.testing.assert_array_equal(level[inside] < 0, blended[inside] < 0)
+    assert np.abs(level[~near]).min() > 0.9
 
 
 def test_a_warp_meets_landmarks_and_takes_what_is_around_them_along() -> None:
