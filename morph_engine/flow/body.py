@@ -46,6 +46,9 @@ SAMPLES = 21
 LEAST_CHANGE = 0.05
 """What the body counts as changed over the whole of its way, whatever it does."""
 
+AROUND = 4
+"""Grid cells around the body in which its level is found; farther out no matter is led back."""
+
 SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
 """Quadratic B-spline of a grid cell's width at the points of the fine lattice."""
 
@@ -160,16 +163,20 @@ class BodyPath:
     def body(self, share: float, level: Field) -> Body:
         """The body of a level that `level` returned, which is changed."""
         level -= _quantile(level, round((1 - share) * self._inside[0] + share * self._inside[1]))
+        around = _bounding_box(level < 0, margin=AROUND)
+        near = level[around]
         if 0 < share < 1:
-            level = self._without_pieces(self._without_threads(self._as_distance(level)))
-        level = self._leading_back(level)
-        return Body(level, *self._mass(*self._smoothed(level)))
+            near = self._without_pieces(self._without_threads(self._as_distance(near)))
+        near = self._leading_back(near)
+        indicator, box = self._smoothed(near)
+        mass = self._mass(indicator, [a.start + b.start for a, b in zip(around, box, strict=True)])
+        return Body(self._extended(near, around), *mass)
 
     def _as_distance(self, level: Field) -> Field:
         """Divide the level by its slope."""
         slope: Field = np.zeros_like(level)
         for axis in range(3):
-            along = np.gradient(level, self._step, axis=axis)
+            along = _slope(level, axis) * np.float32(1 / self._step)
             slope += np.square(along, out=along)
         np.sqrt(slope, out=slope)
         np.maximum(slope, np.float32(LEAST_SLOPE), out=slope)
@@ -217,12 +224,27 @@ class BodyPath:
             indicator = scipy.ndimage.convolve1d(indicator, SPLINE, axis=axis, mode="constant")
         return indicator, box
 
-    def _mass(self, indicator: Field, box: Box) -> tuple[Field, NodeBox]:
-        """The matter at nodes, all of it, and the nodes that have it."""
+    def _extended(self, level: Field, around: Box) -> Field:
+        """A level given around the body on the whole lattice: farther out the distance to that."""
+        squares = []
+        for axis, (along, size) in enumerate(zip(around, self.size, strict=True)):
+            points = np.arange(size) - along.start
+            nearest = points.clip(0, along.stop - along.start - 1)
+            level = level.take(nearest, axis)
+            squares.append((self._step * (points - nearest).astype(np.float32)) ** 2)
+        level += np.sqrt(sum(np.ix_(*squares)))
+        return level
+
+    def _mass(self, indicator: Field, first: list[int]) -> tuple[Field, NodeBox]:
+        """The matter at nodes, all of it, and the nodes that have it.
+
+        Args:
+            indicator: Of the body, in a box.
+            first: The lowest point of the box, counted from `corner`.
+        """
         mass = np.zeros((self._grid.resolution,) * 3, np.float32)
         nodes = indicator[::REFINEMENT, ::REFINEMENT, ::REFINEMENT]
-        inner = [along.start // REFINEMENT for along in box]
-        low = self.corner // REFINEMENT + inner
+        low = (self.corner + first) // REFINEMENT
         held = NodeBox(low, low + nodes.shape)
         mass[tuple(map(slice, held.low, held.high))] = nodes
         return mass * np.float32(self._matter / mass.sum(dtype=np.float64)), held
@@ -251,15 +273,26 @@ def _interpolated(shares: NDArray[np.float64], share: float) -> float:
 
 def refined(field: Field) -> Field:
     """A field given at every second point of a lattice, trilinear between them, [2 n - 1, ...]."""
-    finer = field.astype(np.float64)
-    for axis in range(3):
-        coarse = np.moveaxis(finer, axis, 0)
-        kind = np.float32 if axis == 2 else np.float64
-        finer = np.empty((2 * len(coarse) - 1, *coarse.shape[1:]), kind)
-        finer[::2] = coarse
-        finer[1::2] = (coarse[:-1] + coarse[1:]) / 2
-        finer = np.moveaxis(finer, 0, axis)
-    return np.ascontiguousarray(finer, np.float32)
+    finer = field
+    for axis in (2, 1, 0):
+        size = list(finer.shape)
+        size[axis] = 2 * size[axis] - 1
+        coarse, finer = np.moveaxis(finer, axis, 0), np.empty(size, np.float32)
+        along = np.moveaxis(finer, axis, 0)
+        along[::2] = coarse
+        np.add(coarse[:-1], coarse[1:], out=along[1::2])
+        along[1::2] *= np.float32(0.5)
+    return finer
+
+
+def _slope(field: Field, axis: int) -> Field:
+    """Central differences along an axis, one-sided at its ends, for a lattice step of 1."""
+    slope = np.empty_like(field)
+    values, along = np.moveaxis(field, axis, 0), np.moveaxis(slope, axis, 0)
+    np.subtract(values[2:], values[:-2], out=along[1:-1])
+    along[1:-1] *= np.float32(0.5)
+    along[0], along[-1] = values[1] - values[0], values[-1] - values[-2]
+    return slope
 
 
 def _dilated(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
