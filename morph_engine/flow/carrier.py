@@ -20,7 +20,7 @@ COARSENING = 2
 CELL = REFINEMENT * COARSENING
 """Lattice steps of the distances between these points."""
 
-STEEPEST = 3.0
+STEEPEST = 2.0
 """What a carried distance changes at most on a path as long as one: warps squeeze."""
 
 MARGIN = 3.0
@@ -79,6 +79,7 @@ class Carrier:
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
         most = len(self._axis) ** 3
         self._back, self._onward = (backend.active().vectors(most) for _ in range(2))
+        self._padded = np.zeros((most, 3), backend.active().numpy_real)
         self._coarse = backend.active().scalars(most)
         half_diagonal = math.sqrt(3) / 2 * COARSENING * grid.dx
         self._far = STEEPEST * half_diagonal
@@ -97,16 +98,17 @@ class Carrier:
     def blended(self, share: float, places: Places) -> NDArray[np.float32]:
         """phi_s on this box of the fine lattice [dx], of shape `size`."""
         for array, points in ((self._back, places.back), (self._onward, places.onward)):
-            whole = np.zeros((array.shape[0], 3), backend.active().numpy_real)
-            whole[: len(points)] = points
-            array.from_numpy(whole)
+            self._padded[: len(points)] = points
+            array.from_numpy(self._padded)
         carry(
             self._back, self._onward, *self._ends, self._coarse, self._level, share, self._far,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
             ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
             ti.math.ivec3(places.corner), ti.math.ivec3(places.size),
         )  # fmt: skip
-        level: NDArray[np.float32] = self._level.to_numpy().astype(np.float32).reshape(self.size)
+        level: NDArray[np.float32] = (
+            self._level.to_numpy().astype(np.float32, copy=False).reshape(self.size)
+        )
         return level
 
 

@@ -111,7 +111,7 @@ def find_small_pieces(
         largest: Number of particles.
     """
     # few places are looked at: a tree that is quick to build is better than one quick to search
-    tree = scipy.spatial.cKDTree(x, balanced_tree=False, compact_nodes=False)
+    tree = scipy.spatial.cKDTree(x, leafsize=64, balanced_tree=False, compact_nodes=False)
     seen: set[int] = set()
     pieces = []
     for start in starts.tolist():

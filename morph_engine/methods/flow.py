@@ -315,8 +315,10 @@ class Flow(MpmMethod[FlowOptions]):
     def _upload_body(self, slot: int, frame: int) -> None:
         body = self._bodies.at(*(self._share(frame + later) for later in range(3)))
         real = self.device.numpy_real
-        self._levels[slot].now.from_numpy((body.level.ravel() / self._edge).astype(real))
-        self._masses[slot].from_numpy(body.mass.ravel().astype(real))
+        self._levels[slot].now.from_numpy(
+            (body.level.ravel() / real(self._edge)).astype(real, copy=False)
+        )
+        self._masses[slot].from_numpy(body.mass.ravel().astype(real, copy=False))
         self._boxes[slot] = body.box
 
     def _reach(self, steps: int) -> NodeBox:
