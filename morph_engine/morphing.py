@@ -27,6 +27,7 @@ from morph_engine.device import Device
 from morph_engine.errors import ConfigError, MeshError, ResourceError, SimulationError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import placed
+from morph_engine.geometry.point_cloud import lengths
 from morph_engine.geometry.sampling import (
     MINIMUM_PARTICLES,
     Jitter,
@@ -490,8 +491,8 @@ def _placed(record: RunRecord) -> list[Event]:
 
 def _max_move(before: NDArray[np.float32], after: NDArray[np.float32]) -> float:
     """The farthest that a particle has moved [dx]; inf if one is lost."""
-    squared = np.sum((after.astype(np.float64) - before) ** 2, axis=1)
-    return float(np.sqrt(np.where(np.isfinite(squared), squared, np.inf).max()))
+    moved = lengths(after.astype(np.float64) - before)
+    return float(np.where(np.isfinite(moved), moved, np.inf).max())
 
 
 def _measure(outcome: FrameOutcome, record: RunRecord, threads: int) -> dict[str, float]:

@@ -128,7 +128,8 @@ class MpmMethod(Method[MpmOptionsT], Generic[MpmOptionsT]):
         """
         p, original = self._particles, mpm.inverse_order(order)
         d_fwd, d_rev = self._matches.distances()
-        speed_squared = np.sum(p.v.astype(np.float64) ** 2, axis=1)
+        velocity = p.v.astype(np.float64)
+        speed_squared = np.einsum("ij,ij->i", velocity, velocity)
         return FrameOutcome(
             positions=p.x.astype(np.float32),
             d_fwd=d_fwd[original],

@@ -19,7 +19,9 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine.backend import CPU_CHUNK_STRIDE
+from morph_engine.counting_sort import counting_sort
 from morph_engine.flow.cell_list import LANES, load_lanes
+from morph_engine.geometry.point_cloud import extent
 
 CHUNKS = 32
 """Parts in which threads share out the blocks."""
@@ -91,18 +93,18 @@ class BallCounts:
     def __init__(self, goal: NDArray[np.float32], spacing: float, radius: float) -> None:
         self.radius = radius
         self.spacing = spacing
-        least = goal.min(axis=0).astype(np.float64)
+        least = extent(goal)[0].astype(np.float64)
         place = (goal - least) / spacing
         # so that points of a lattice are in the middle of cells, wherever they are a little off it
-        beside = (place - np.floor(place)).max(axis=0)
+        beside = extent(place - np.floor(place))[1]
         self._origin = least - spacing * (1 - beside) / 2
         place += (1 - beside) / 2
         block = np.floor(place / BLOCK)
         place -= BLOCK * block
         reach = radius / spacing
-        self._runs = Runs.beside(place.min(axis=0), place.max(axis=0), reach)
+        self._runs = Runs.beside(*extent(place), reach)
         self._margin = math.ceil(reach) + BLOCK + 1
-        blocks = block.max(axis=0) + 1
+        blocks = extent(block)[1] + 1
         self._bins: NDArray[np.float64] = BLOCK * blocks + 2 * self._margin
         self._bins[2] *= BINS_PER_CELL
         self.possible: bool = bool(
@@ -111,9 +113,8 @@ class BallCounts:
         if not self.possible:
             return
         key = ((block[:, 0] * blocks[1] + block[:, 1]) * blocks[2] + block[:, 2]).astype(np.int32)
-        self._order = np.argsort(key)
-        key = key[self._order]
-        begin = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+        self._order, first = counting_sort(key, int(blocks.prod()))
+        begin = first[:-1][np.diff(first) > 0]
         self._begin = np.append(begin, len(goal)).astype(np.int32)
         self._base = self._flat(
             self._cell_to_bin(BLOCK * block[self._order[begin]] + self._margin)
@@ -128,9 +129,7 @@ class BallCounts:
             within = near.all(axis=1)
             particles, place = particles[within], place[within]
         key = self._flat(np.floor(place)).astype(np.int32)
-        order = np.argsort(key)
-        first = np.zeros(int(self._bins.prod()) + 1, np.int32)
-        np.cumsum(np.bincount(key, minlength=len(first) - 1), out=first[1:])
+        order, first = counting_sort(key, int(self._bins.prod()))
         columns = np.zeros((3, len(particles) + LANES), np.float32)
         columns[:, : len(particles)] = particles[order].T
         offsets = self._flat(np.insert(self._runs.column, 2, 0, axis=1))

@@ -61,8 +61,9 @@ def chamfer_metrics(
     points, finite = finite_points(positions)
     goal = target_points(target)
     count = len(points)
-    inside = np.count_nonzero((np.abs(points) <= domain_half_extent).all(axis=1))
-    escaped = {"escaped": float(len(finite) - inside)}
+    inside = np.abs(points) <= domain_half_extent
+    inside_count = count if inside.all() else np.count_nonzero(inside.all(axis=1))
+    escaped = {"escaped": float(len(finite) - inside_count)}
     if count == 0:
         return _worst() | escaped
 

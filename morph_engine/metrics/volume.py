@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy
 
 from morph_engine import backend
-from morph_engine.geometry.point_cloud import Points, finite_points, target_points
+from morph_engine.geometry.point_cloud import Points, extent, finite_points, target_points
 from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
 
@@ -78,15 +78,15 @@ def fill_metrics(
     goal = target_points(target)
     step = float(np.clip(grid_spacing / 4, spacing / 4, spacing))
     reach = (2 ** (AXIS_BITS - 1) - 16) * step
-    near = np.abs(points - (goal.min(axis=0) + goal.max(axis=0)) / 2) < reach
+    least, most = extent(goal)
+    near = np.abs(points - (least + most) / 2) < reach
     if not near.all():
         points = points[near.all(axis=1)]
     if not len(points):
         return {"iou": 0.0, "cover": 0.0, "spill": 1.0} | dict.fromkeys(QUANTILES, 0.0)
 
     radius = COVERING_RADIUS_OVER_H * spacing
-    least = np.minimum(points.min(axis=0), goal.min(axis=0))
-    corner = least - max(grid_spacing, radius)
+    corner = np.minimum(least, extent(points)[0]) - max(grid_spacing, radius)
     filled, wanted, shared = _overlap(points, goal, corner, radius=radius, step=step)
     ratio = density_ratio(
         points, goal, places=_some(goal), radius=grid_spacing, workers=workers, spacing=spacing
@@ -140,7 +140,7 @@ def _overlap(
 
     A node is near if it is closer than ``radius`` to a point; it is ``corner + step * (i, j, k)``.
     """
-    most = np.maximum(points.max(axis=0), goal.max(axis=0))
+    most = np.maximum(extent(points)[1], extent(goal)[1])
     x, y, z = (((most - corner + radius) / step).astype(np.int64) + 2).tolist()
     if backend.runs_on_cpu() and x * y * z < NODES_PER_POINT * (len(points) + len(goal)):
         from morph_engine.metrics.raster import overlap  # which loads Taichi

@@ -13,6 +13,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine.backend import CPU_CHUNK_COUNT
+from morph_engine.counting_sort import counting_sort
 from morph_engine.errors import ConfigError
 from morph_engine.mpm.grid_size import PADDING, nodes_per_axis
 from morph_engine.sections import GridConfig, Kernel
@@ -81,7 +82,9 @@ def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
     """
     cell = np.floor((x - grid.origin) / grid.dx).astype(np.int64)
     key = (cell[:, 0] * grid.resolution + cell[:, 1]) * grid.resolution + cell[:, 2]
-    return np.argsort(key, kind="stable")
+    if 0 <= key.min() and key.max() < grid.node_count:
+        return counting_sort(key, grid.node_count)[0].astype(np.intp)
+    return np.argsort(key, kind="stable")  # a particle has left the grid
 
 
 def inverse_order(order: NDArray[np.intp]) -> NDArray[np.intp]:
