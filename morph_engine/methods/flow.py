@@ -56,7 +56,7 @@ TENSION = 1.0
 SETTLING_BEGINS = 0.985
 """Share of the way from which particles spread more evenly."""
 
-REBUILD_EVERY = 4
+REBUILD_EVERY = 10
 """Frames after which the index of nearest neighbours is built anew: particles that are neighbours
 stay so for longer."""
 
