@@ -58,9 +58,6 @@ class Ground(Protocol):
     def remove(self, job: str) -> None:
         """Delete what a job has left."""
 
-    def forget(self, job: str) -> None:
-        """Take a job out of the queue, in whatever state, and delete what it has left."""
-
     def close(self) -> None:
         """Give everything back."""
 
@@ -68,6 +65,12 @@ class Ground(Protocol):
 def try_lock(ground: Ground, slot: str) -> Any:
     """The lock of a worker slot, or None."""
     return locks.try_lock(ground.settings, slot)
+
+
+def forget(ground: Ground, job: str) -> None:
+    """Take a job out of the queue, in whatever state, and delete what it has left."""
+    ground.queue._client.delete_workflow(job)
+    ground.remove(job)
 
 
 class DatabaseGround:
@@ -137,10 +140,6 @@ class DatabaseGround:
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)
 
-    def forget(self, job: str) -> None:
-        self.queue._client.delete_workflow(job)
-        self.remove(job)
-
     def close(self) -> None:
         self.queue.close()
 
@@ -189,10 +188,6 @@ class MemoryGround:
 
     def remove(self, job: str) -> None:
         self.storage.remove_job(job)
-
-    def forget(self, job: str) -> None:
-        self.queue._client.delete_workflow(job)
-        self.remove(job)
 
     def close(self) -> None:
         pass

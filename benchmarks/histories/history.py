@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 from unittest.mock import patch
 
-from benchmarks.histories.grounds import Ground, try_lock
+from benchmarks.histories.grounds import Ground, forget, try_lock
 from chamfer_morph.schemas import BuiltInShape, JobState, Outcome
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker import janitor
@@ -419,4 +419,4 @@ class World:
         for owner in OWNERS:
             self.queue.unpause(owner)
         for job in self._jobs:
-            self.ground.forget(job)
+            forget(self.ground, job)
