@@ -14,7 +14,6 @@ from pydantic import Field
 from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.flow.node_box import NodeBox
-from morph_engine.geometry.point_cloud import lengths
 from morph_engine.methods.like_parts import Landmark, LikeParts
 from morph_engine.methods.method import FrameOutcome, Problem
 from morph_engine.methods.mpm_method import MpmMethod, MpmOptions
@@ -236,10 +235,10 @@ class Flow(MpmMethod[FlowOptions]):
         self._particles = last.download(place).scaled(self._edge)
         self._particles.F *= np.cbrt(self._volume_ratio.to_numpy())[place, None, None]
         self._match(frame)
-        self._path_length += float(lengths(self._particles.x - before).mean())
+        self._path_length += float(geometry.lengths(self._particles.x - before).mean())
         moved = self._moved_by_now() * self._edge
         self._settled += moved
-        self._speed = float(lengths(self._particles.v).max())
+        self._speed = float(geometry.lengths(self._particles.v).max())
         numbers = {"correction": moved, "dt": self._simulation.dt}
         gap = self._nearest_gap.find(last.x, self.problem.config.spacing / self._edge)
         outcome = self._outcome(np.arange(len(order)), numbers, tuple(events))
