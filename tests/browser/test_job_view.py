@@ -321,7 +321,7 @@ def test_a_cut_hides_half_of_it(opened):
 )
 def test_colours_come_with_a_scale(opened, colour, legend):
     """Values of the page's own and of the service colour the particles, with name and unit."""
-    opened.get_by_label("Colour", exact=True).select_option("look")
+    opened.get_by_label("Colour", exact=True).select_option("own")
     plain = picture(opened)
     expect(opened.locator(".legend")).to_be_hidden()
     opened.get_by_label("Colour", exact=True).select_option(colour)
