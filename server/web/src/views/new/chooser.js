@@ -77,7 +77,7 @@ export class Chooser {
     if (this.missing()) return;
     const kind = shape.mesh ? "file" : shape.shape.startsWith(TEXT) ? "text" : "shape";
     const address = shape.mesh ?? shape.shape;
-    this.kind = kind;
+    Object.assign(this, { kind, shape, posed: pose });
     if (address !== this.address) {
       this.address = address;
       this.choose(kind);
@@ -90,8 +90,6 @@ export class Chooser {
         button.checked = button.value === address;
       }
     }
-    this.shape = shape;
-    this.posed = pose;
     this.showPose();
     // two built-in shapes as they are do not look at each other
     const end = this.role === "source" ? "target" : "source";
