@@ -46,7 +46,7 @@ from morph_engine.metrics.volume import fill_metrics, outside_metrics
 from morph_engine.optimization.watchdog import Event
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord, Shape, config_at, growths, placement_of
-from morph_engine.results.spool import Checkpoint, Spool
+from morph_engine.results.spool import Checkpoint, Spool, finished_frames
 from morph_engine.results.trajectory import write_result
 from morph_engine.spans import span
 
@@ -263,8 +263,9 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     folder = Path(out).absolute().parent
     if not folder.is_dir():
         raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another `out`.")
-    # The frames lie on the disk twice while the result is assembled.
-    disk = 2 * BYTES_PER_PARTICLE * record.particle_count * record.planned_frames / MEGABYTE + 10
+    # The frames lie on the disk twice while the result is assembled; some may be there already.
+    frames = 2 * record.planned_frames - finished_frames(out)
+    disk = BYTES_PER_PARTICLE * record.particle_count * frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(

@@ -8,6 +8,7 @@ import pytest
 from morph_engine import morphing
 from morph_engine.errors import ResourceError
 from morph_engine.presets import configure
+from morph_engine.results.spool import spool_path
 
 CONFIG = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": 40})
 
@@ -45,6 +46,20 @@ def test_the_frames_of_a_long_run_take_disk_alone(record, monkeypatch, tmp_path)
     morphing.check_resources(long)
     with pytest.raises(ResourceError, match="MB of disk"):
         morphing.check_resources(long, out)
+
+
+def test_frames_that_are_there_take_no_more_disk(record, monkeypatch, tmp_path):
+    """A run that goes on needs room for the frames to come and for the result."""
+    out = tmp_path / "result.vtkhdf"
+    of_a_frame = 16 * record.particle_count
+    free = 10_000_000 + of_a_frame * (2 * record.planned_frames - 3)
+    monkeypatch.setattr(morphing.psutil, "disk_usage", lambda path: SimpleNamespace(free=free))
+    with pytest.raises(ResourceError, match="MB of disk"):
+        morphing.check_resources(record, out)
+    spool_path(out).mkdir()
+    for frame in range(4):
+        (spool_path(out) / f"frame-{frame:06d}.npz").touch()
+    morphing.check_resources(record, out)
 
 
 def test_too_little_disk_is_refused_before_the_run(record, monkeypatch, tmp_path):
