@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 STARTUP_SECONDS = 4.0
 MEGABYTES_AT_REST = 240.0
-BYTES_IN_RESULT = 16  # of a particle in a frame: position and det F
 PARALLEL_EFFICIENCY = 0.9
 
 

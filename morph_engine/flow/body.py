@@ -47,7 +47,8 @@ LEAST_CHANGE = 0.05
 """What the body counts as changed over the whole of its way, whatever it does."""
 
 AROUND = 4
-"""Grid cells around the body in which its level is found; farther out no matter is led back."""
+"""Grid cells around the body in which its level is found; farther out it is that of the edge, and
+the distance to it, which leads back."""
 
 SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
 """Quadratic B-spline of a grid cell's width at the points of the fine lattice."""

@@ -20,8 +20,9 @@ COARSENING = 2
 CELL = REFINEMENT * COARSENING
 """Lattice steps of the distances between these points."""
 
-STEEPEST = 2.0
-"""What a carried distance changes at most on a path as long as one: warps squeeze."""
+STEEPEST = 3.0
+"""A coarse cell is far from the surface where that would lie beyond it if distances changed so many
+times as fast as along a straight line: warps squeeze."""
 
 MARGIN = 3.0
 """Distances are blended so far from the controls [dx]; the body ends nearer to them."""

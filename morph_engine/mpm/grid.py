@@ -75,6 +75,10 @@ def make_grid(config: GridConfig, kernel: Kernel) -> Grid:
     return Grid(config.dx, config.half_extent, width=4 if kernel == "cubic" else 3)
 
 
+CELLS_PER_PARTICLE = 64
+"""Where particles are spread over more cells, comparing them takes less memory than counting."""
+
+
 def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
     """Order of particles at x [dx], shape [n, 3], by grid cell, z fastest.
 
@@ -82,9 +86,10 @@ def cell_order(x: NDArray[Any], grid: Grid) -> NDArray[np.intp]:
     """
     cell = np.floor((x - grid.origin) / grid.dx).astype(np.int64)
     key = (cell[:, 0] * grid.resolution + cell[:, 1]) * grid.resolution + cell[:, 2]
-    if 0 <= key.min() and key.max() < grid.node_count:
-        return counting_sort(key, grid.node_count)[0].astype(np.intp)
-    return np.argsort(key, kind="stable")  # a particle has left the grid
+    low, count = int(key.min()), int(key.max()) - int(key.min()) + 1
+    if count <= CELLS_PER_PARTICLE * len(x):
+        return counting_sort(key - low, count)[0].astype(np.intp)
+    return np.argsort(key, kind="stable")
 
 
 def inverse_order(order: NDArray[np.intp]) -> NDArray[np.intp]:
