@@ -12,6 +12,7 @@ from morph_engine.methods.registry import DEFAULT_METHOD, options_of
 if TYPE_CHECKING:
     from morph_engine.results.run_record import RunRecord
 
+BYTES_IN_RESULT = 16  # of a particle in a frame: position and det F
 STARTUP_SECONDS = 4.0
 MEGABYTES_AT_REST = 240.0
 PARALLEL_EFFICIENCY = 0.9
