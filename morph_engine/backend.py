@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from morph_engine import array_copies, array_lifetimes, kernel_launching, kernel_loading
 from morph_engine.device import Device
 from morph_engine.errors import DeviceError
+from morph_engine.pinned_threads import pinned
 from morph_engine.system_libraries import require_libraries
 
 ti: Any = lazy.load("taichi")  # which takes a second; not every use of the package computes
@@ -134,7 +135,8 @@ def start(
     kernel_launching.forget()
     _remove_old_lock(kernel_folder())
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
-    with contextlib.redirect_stdout(io.StringIO()):  # Taichi announces itself on stdout
+    # Taichi announces itself on stdout
+    with contextlib.redirect_stdout(io.StringIO()), pinned(threads):
         ti.init(
             arch=getattr(ti, wanted.device),
             default_fp=wanted.real,

@@ -18,9 +18,10 @@ import taichi as ti
 from morph_engine import backend
 from morph_engine.unfilled_arrays import unfilled
 
-SMALLEST_SHARED_CPU = 40
+SMALLEST_SHARED_CPU = 96
 SMALLEST_SHARED_GPU = 11
-"""Threads share out the rows of a grid with at least so many nodes an axis."""
+"""Threads share out the rows of a grid with at least so many nodes an axis. To wake them takes some
+60 us on a CPU, in which one thread sweeps over a few thousand rows."""
 
 SELF_WEIGHT = 1e-5
 """Of a row with itself, which makes a solution unique where no wall holds the pressure."""
@@ -49,7 +50,7 @@ class Levels:
     Attributes:
         resolutions: Nodes per axis of each.
         offsets: Where its nodes, and its rows, begin in the arrays.
-        shared: How many of them threads share out; what is coarser is done by one.
+        shared: How many of them threads share out, if any; what is coarser is done by one.
     """
 
     resolutions: tuple[int, ...]
@@ -60,6 +61,11 @@ class Levels:
     def count(self) -> int:
         """Number of grids."""
         return len(self.resolutions)
+
+    @property
+    def serial(self) -> bool:
+        """Whether one thread does it all."""
+        return self.shared == 0
 
     @property
     def size(self) -> int:
@@ -74,7 +80,7 @@ def levels_of(resolution: int) -> Levels:
         offsets.append(offsets[-1] + resolutions[-1] ** 3)
         resolutions.append(-(-resolutions[-1] // 2))
     smallest = SMALLEST_SHARED_CPU if backend.active().on_cpu else SMALLEST_SHARED_GPU
-    shared = max(1, sum(nodes >= smallest for nodes in resolutions[:-1]))
+    shared = sum(nodes >= smallest for nodes in resolutions[:-1])
     return Levels(tuple(resolutions), tuple(offsets), shared)
 
 
@@ -309,8 +315,9 @@ def v_cycle(system: ti.template(), levels: ti.template()):
             first = system.first[level]
             for row in range(first, first + system.counts[level]):
                 smooth_odd(system, row)
-            for row in range(first, first + system.counts[level]):
-                smooth_even(system, row)
+            if level > 0:
+                for row in range(first, first + system.counts[level]):
+                    smooth_even(system, row)
     for level in ti.static(range(levels.shared - 1, -1, -1)):
         first = ti.static(levels.offsets[level])
         for row in range(first, first + system.counts[level]):

@@ -112,7 +112,7 @@ class Projection:
 
     def clear(self, nodes: Any) -> None:
         """Take velocity and mass, shape [r^3, 4], from all nodes that matter may reach."""
-        clear(nodes, self._vectors, self.grid)
+        clear(nodes, self._levels, self._vectors, self.grid)
 
     def project(
         self, nodes: Any, masses: Sequence[Any], shares: tuple[float, float], dt: float, gain: float
@@ -150,7 +150,7 @@ class Projection:
             self.iterations_made += 1
             if largest < limit:
                 break
-        finish(nodes, system, vectors, self.full, dt, grid)
+        finish(nodes, system, self._levels, vectors, self.full, dt, grid)
 
 
 @ti.func
@@ -183,8 +183,9 @@ def line_of(k: int, box: ti.template(), grid: ti.template()):
 
 
 @ti.kernel
-def clear(nodes: ti.types.ndarray(), vectors: Vectors, grid: ti.template()):
+def clear(nodes: ti.types.ndarray(), levels: ti.template(), vectors: Vectors, grid: ti.template()):
     """Take velocity and mass from the nodes that matter may reach."""
+    ti.loop_config(serialize=levels.serial)
     for k in range(line_count(vectors.reach)):
         begin, end = line_of(k, vectors.reach, grid)
         for i in range(begin, end):
@@ -208,8 +209,10 @@ def list_rows(
 
     Every line counts its own, from which follows where each has its rows.
     """
+    ti.loop_config(serialize=levels.serial)
     for k in range(system.counts[0]):
         system.index[system.node[k]] = -1
+    ti.loop_config(serialize=levels.serial)
     for k in range(line_count(vectors.body)):
         begin, end = line_of(k, vectors.body, grid)
         found = 0
@@ -220,6 +223,7 @@ def list_rows(
     ti.loop_config(serialize=True)
     for _ in range(1):
         system.counts[0] = place_lines(system, 0, line_count(vectors.body))
+    ti.loop_config(serialize=levels.serial)
     for k in range(line_count(vectors.body)):
         begin, end = line_of(k, vectors.body, grid)
         row = system.line[k]
@@ -256,6 +260,7 @@ def assemble(
     what a body has too much of as a whole no flow inside it can mend. partial holds (p.q, r.z,
     r.z before, largest |r|, at first of the right-hand side) of each chunk.
     """
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk, sources = task // stride, 0.0
@@ -287,6 +292,7 @@ def assemble(
                 sources += source
             vectors.partial[chunk] = ti.Vector([0.0, sources, 0.0, 0.0])
     assemble_coarser(system, levels)
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk, largest = task // stride, 0.0
@@ -346,6 +352,7 @@ def descend(
 ) -> float:
     """One iteration of preconditioned conjugate gradients; returns the largest |r|."""
     v_cycle(system, levels)
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk, rz = task // stride, 0.0
@@ -355,6 +362,7 @@ def descend(
                 rz += system.r[k] * system.z[k]
             vectors.partial[chunk][2] = vectors.partial[chunk][1]
             vectors.partial[chunk][1] = rz
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk = task // stride
@@ -362,6 +370,7 @@ def descend(
             begin, end = rows_of(chunk, chunks, system)
             for k in range(begin, end):
                 vectors.p[k] = system.z[k] + (0.0 if first else beta * vectors.p[k])
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk, pq = task // stride, 0.0
@@ -370,6 +379,7 @@ def descend(
                 vectors.q[k] = applied(vectors.p, system, k)
                 pq += vectors.p[k] * vectors.q[k]
             vectors.partial[chunk][0] = pq
+    ti.loop_config(serialize=levels.serial)
     for task in range(chunks * stride):
         if task % stride == 0:
             chunk, largest = task // stride, 0.0
@@ -387,6 +397,7 @@ def descend(
 def finish(
     nodes: ti.types.ndarray(),
     system: System,
+    levels: ti.template(),
     vectors: Vectors,
     full: float,
     dt: float,
@@ -396,6 +407,7 @@ def finish(
 
     Then limit the speed of all nodes that matter may reach.
     """
+    ti.loop_config(serialize=levels.serial)
     for k in range(system.counts[0]):
         i = system.node[k]
         vectors.potential[i] = vectors.x[k]
@@ -404,6 +416,7 @@ def finish(
             rise = ahead * (vectors.x[system.neighbors[k][2 * axis]] - vectors.x[k])
             rise += behind * (vectors.x[k] - vectors.x[system.neighbors[k][2 * axis + 1]])
             nodes[i][axis] += rise / (grid.dx * ti.max(ahead + behind, 1e-12))
+    ti.loop_config(serialize=levels.serial)
     for k in range(line_count(vectors.reach)):
         begin, end = line_of(k, vectors.reach, grid)
         for i in range(begin, end):
