@@ -4,6 +4,7 @@ from .body import BodyPath as BodyPath
 from .body import fine_axis as fine_axis
 from .contact import LayerArrays as LayerArrays
 from .contact import Levels as Levels
+from .contact import extend as extend
 from .contact import layer_arrays as layer_arrays
 from .contact import prepare as prepare
 from .controls import Controls as Controls

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from morph_engine.flow.carrier import REFINEMENT, Carrier, Places
+from morph_engine.flow.carrier import REFINEMENT, Carrier, Level, Places
 from morph_engine.flow.level_blend import Blend, Field, compressed, rounded
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.flow.warp import Warp
@@ -47,8 +48,7 @@ LEAST_CHANGE = 0.05
 """What the body counts as changed over the whole of its way, whatever it does."""
 
 AROUND = 4
-"""Grid cells around the body in which its level is found; farther out it is that of the edge, and
-the distance to it, which leads back."""
+"""Grid cells around the body in which its level is given."""
 
 SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
 """Quadratic B-spline of a grid cell's width at the points of the fine lattice."""
@@ -61,16 +61,30 @@ class Body:
     """One state of the body.
 
     Attributes:
-        level: Signed distance to its surface on a box of the fine lattice [dx], shape [m, n, k]: to
-            first order near the surface, and to the nearest node inside from farther out.
+        level: Signed distance to its surface on the fine lattice around it: to first order near the
+            surface, and to the nearest node inside from farther out.
         mass: What a node shall hold, over what a node deep inside holds at the source's density,
             shape [r, r, r].
         box: The nodes that shall hold any.
     """
 
-    level: Field
+    level: Level
     mass: Field
     box: NodeBox
+
+
+class Indicator(NamedTuple):
+    """1 inside a body and 0 outside, in a box.
+
+    Attributes:
+        box: The part of a level that it is given for.
+        sharp: The share of each point of the lattice that is inside.
+        smooth: That as quadratic B-splines see it.
+    """
+
+    box: Box
+    sharp: Field
+    smooth: Field
 
 
 def fine_axis(grid: Grid) -> NDArray[np.float64]:
@@ -92,8 +106,8 @@ class BodyPath:
         warp: What carries the distances, if anything does.
 
     Attributes:
-        corner: The lowest point of the fine lattice that bodies have a level at, shape [3].
-        size: Points that they have levels at along each axis, shape [3].
+        corner: The lowest point of the fine lattice that bodies ever reach, shape [3].
+        size: Points from there to the highest along each axis, shape [3].
     """
 
     def __init__(
@@ -114,7 +128,7 @@ class BodyPath:
         self._matter = matter
         self._tension = tension
         self._carrier: Carrier | None = None
-        self._blended: Callable[[float], Field]
+        self._blended: Callable[[float], Level]
         self.corner: NDArray[np.int64]
         self.size: NDArray[np.int64]
         if warp:
@@ -128,7 +142,7 @@ class BodyPath:
             coarse = [np.ascontiguousarray(end[::2, ::2, ::2]) for end in (first, last)]
             inside = [int(np.count_nonzero(distance < 0)) for distance in coarse]
             shares = _even_shares(blend.coarser(*coarse), *inside)
-            self._blended = lambda share: blend.at(_interpolated(shares, share))
+            self._blended = lambda share: Level(self.corner, blend.at(_interpolated(shares, share)))
             self.corner = np.array([along.start for along in box])
             self.size = np.array([along.stop - along.start for along in box])
 
@@ -150,28 +164,33 @@ class BodyPath:
         """What a carried level is made from; any thread may ask for it."""
         return self._carrier.places(share) if self._carrier else None
 
-    def level(self, share: float, places: Places | None) -> Field:
-        """The level of the body before it has the scheduled volume [dx], of shape `size`.
+    def level(self, share: float, places: Places | None) -> Level:
+        """The level of the body before it has the scheduled volume.
 
         Where the path is carried, a kernel makes it, which one thread alone may launch.
         """
         if not (self._carrier and places):
             return self._blended(share)
         level = self._carrier.blended(share, places)
-        width = 4 * share * (1 - share) * self._tension
-        return rounded(level, width / self._step) if width else level
+        width = 4 * share * (1 - share) * self._tension / self._step
+        return Level(level.corner, rounded(level.values, width)) if width else level
 
-    def body(self, share: float, level: Field) -> Body:
+    def body(self, share: float, level: Level) -> Body:
         """The body of a level that `level` returned, which is changed."""
-        level -= _quantile(level, round((1 - share) * self._inside[0] + share * self._inside[1]))
-        around = _bounding_box(level < 0, margin=AROUND)
-        near = level[around]
+        values = level.values
+        values -= _quantile(values, round((1 - share) * self._inside[0] + share * self._inside[1]))
+        around = _bounding_box(values < 0, margin=AROUND)
+        corner = level.corner + [along.start for along in around]
+        near = values[around]
+        known = None
         if 0 < share < 1:
-            near = self._without_pieces(self._without_threads(self._as_distance(near)))
+            near = self._as_distance(near)
+            known = self._indicator(near)
+            near = self._without_pieces(self._without_threads(near, known))
         near = self._leading_back(near)
-        indicator, box = self._smoothed(near)
-        mass = self._mass(indicator, [a.start + b.start for a, b in zip(around, box, strict=True)])
-        return Body(self._extended(near, around), *mass)
+        indicator = self._indicator(near, known)
+        mass = self._mass(indicator.smooth, corner + [along.start for along in indicator.box])
+        return Body(Level(corner, near), *mass)
 
     def _as_distance(self, level: Field) -> Field:
         """Divide the level by its slope."""
@@ -183,11 +202,10 @@ class BodyPath:
         np.maximum(slope, np.float32(LEAST_SLOPE), out=slope)
         return np.divide(level, slope, out=slope)
 
-    def _without_threads(self, level: Field) -> Field:
+    def _without_threads(self, level: Field, indicator: Indicator) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
-        indicator, box = self._smoothed(level)
-        kept = _dilated(indicator > THREAD, REFINEMENT + 1)
-        within = level[box]
+        kept = _dilated(indicator.smooth > THREAD, REFINEMENT + 1)
+        within = level[indicator.box]
         np.maximum(within, self._step, out=within, where=~kept)
         return level
 
@@ -216,36 +234,28 @@ class BodyPath:
         np.minimum(level, 1.5 * dx, out=cells, where=~far)
         return cells
 
-    def _smoothed(self, level: Field) -> tuple[Field, Box]:
-        """Indicator of the body as quadratic B-splines see it, in a box, and the box."""
+    def _indicator(self, level: Field, known: Indicator | None = None) -> Indicator:
+        """The indicator of a level; the known one where that has not changed, as most do not."""
         box = _bounding_box(level < self._grid.dx, margin=1)
-        indicator = level[box] / self._step
-        np.clip(np.subtract(0.5, indicator, out=indicator), 0, 1, out=indicator)
+        sharp = level[box] / self._step
+        np.clip(np.subtract(0.5, sharp, out=sharp), 0, 1, out=sharp)
+        if known and known.box == box and np.array_equal(known.sharp, sharp):
+            return known
+        smooth = sharp
         for axis in range(3):
-            indicator = scipy.ndimage.convolve1d(indicator, SPLINE, axis=axis, mode="constant")
-        return indicator, box
+            smooth = scipy.ndimage.convolve1d(smooth, SPLINE, axis=axis, mode="constant")
+        return Indicator(box, sharp, smooth)
 
-    def _extended(self, level: Field, around: Box) -> Field:
-        """A level given around the body on the whole lattice: farther out the distance to that."""
-        squares = []
-        for axis, (along, size) in enumerate(zip(around, self.size, strict=True)):
-            points = np.arange(size) - along.start
-            nearest = points.clip(0, along.stop - along.start - 1)
-            level = level.take(nearest, axis)
-            squares.append((self._step * (points - nearest).astype(np.float32)) ** 2)
-        level += np.sqrt(sum(np.ix_(*squares)))
-        return level
-
-    def _mass(self, indicator: Field, first: list[int]) -> tuple[Field, NodeBox]:
+    def _mass(self, indicator: Field, corner: NDArray[np.int64]) -> tuple[Field, NodeBox]:
         """The matter at nodes, all of it, and the nodes that have it.
 
         Args:
-            indicator: Of the body, in a box.
-            first: The lowest point of the box, counted from `corner`.
+            indicator: Of the body, in a box of the fine lattice.
+            corner: The lowest point of the box, counted from the grid's, shape [3].
         """
         mass = np.zeros((self._grid.resolution,) * 3, np.float32)
         nodes = indicator[::REFINEMENT, ::REFINEMENT, ::REFINEMENT]
-        low = (self.corner + first) // REFINEMENT
+        low = corner // REFINEMENT
         held = NodeBox(low, low + nodes.shape)
         mass[tuple(map(slice, held.low, held.high))] = nodes
         return mass * np.float32(self._matter / mass.sum(dtype=np.float64)), held

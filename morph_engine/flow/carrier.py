@@ -35,6 +35,19 @@ FAR = 1e3
 
 
 @dataclass(frozen=True, eq=False)
+class Level:
+    """A level on a box of the fine lattice.
+
+    Attributes:
+        corner: The lowest point of the box, counted from the grid's, shape [3].
+        values: Of its points [dx], shape [m, n, k].
+    """
+
+    corner: NDArray[np.int64]
+    values: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
 class Places:
     """Where points of a coarse lattice come from and where they go.
 
@@ -60,8 +73,8 @@ class Carrier:
         grid: The grid, whose nodes are every second point of the lattice.
 
     Attributes:
-        corner: The lowest point of the lattice at which they are blended, shape [3].
-        size: Number of these points along each axis, shape [3].
+        corner: The lowest point of the lattice at which they are ever blended, shape [3].
+        size: Points from there to the highest along each axis, shape [3].
     """
 
     def __init__(self, warp: Warp, ends: list[NDArray[np.float32]], grid: Grid) -> None:
@@ -96,21 +109,21 @@ class Carrier:
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         return Places(corner, [len(axis) for axis in axes], *self._warp.ends(nodes, share))
 
-    def blended(self, share: float, places: Places) -> NDArray[np.float32]:
-        """phi_s on this box of the fine lattice [dx], of shape `size`."""
+    def blended(self, share: float, places: Places) -> Level:
+        """phi_s around the controls, within `corner` and `size`."""
         for array, points in ((self._back, places.back), (self._onward, places.onward)):
             self._padded[: len(points)] = points
             array.from_numpy(self._padded)
+        first, points = np.array(places.corner), np.array(places.size)
+        low = np.maximum(CELL * first, self.corner)
+        size = np.minimum(CELL * (first + points - 1) + 1, self.corner + self.size) - low
         carry(
             self._back, self._onward, *self._ends, self._coarse, self._level, share, self._far,
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
-            ti.math.ivec3(self.corner), ti.math.ivec3(self.size),
-            ti.math.ivec3(places.corner), ti.math.ivec3(places.size),
+            ti.math.ivec3(low), ti.math.ivec3(size), ti.math.ivec3(first), ti.math.ivec3(points),
         )  # fmt: skip
-        level: NDArray[np.float32] = (
-            self._level.to_numpy().astype(np.float32, copy=False).reshape(self.size)
-        )
-        return level
+        values = self._level.to_numpy()[: size.prod()].reshape(size)
+        return Level(low, values.astype(np.float32, copy=False))
 
 
 @ti.func

@@ -29,6 +29,36 @@ def layer_arrays(layer: Layer) -> Any:
     return LayerArrays(x=layer.x, v=layer.v, C=layer.C, F=layer.F)
 
 
+@ti.kernel
+def extend(
+    near: ti.types.ndarray(),
+    near_box: ti.types.ndarray(),
+    level: ti.types.ndarray(),
+    box: ti.types.ndarray(),
+    step: float,
+):
+    """A level from a box to a larger one: outside it is that of the edge, and the distance to it.
+
+    Boxes are as in `Levels`. The distance leads back what is so far from the body.
+    """
+    size, near_size = ti.Vector([box[4], box[5]]), ti.Vector([near_box[4], near_box[5]])
+    low = ti.Vector([near_box[axis] - box[axis] for axis in ti.static(range(3))])
+    for row in range(box[3] * size[0]):
+        x, y = row // size[0] - low.x, row % size[0] - low.y
+        near_x, near_y = ti.math.clamp(x, 0, near_box[3] - 1), ti.math.clamp(y, 0, near_size[0] - 1)
+        first, near_first = row * size[1], (near_x * near_size[0] + near_y) * near_size[1]
+        square = float((x - near_x) ** 2 + (y - near_y) ** 2)
+        for k in range(near_size[1]):
+            level[first + low.z + k] = near[near_first + k] + step * ti.sqrt(square)
+        for k in range(low.z):
+            beyond = ti.sqrt(square + (low.z - k) ** 2)
+            level[first + k] = near[near_first] + step * beyond
+        last = low.z + near_size[1] - 1
+        for k in range(last + 1, size[1]):
+            beyond = ti.sqrt(square + (k - last) ** 2)
+            level[first + k] = near[near_first + near_size[1] - 1] + step * beyond
+
+
 @ti.func
 def level_and_gradient(levels: ti.template(), share: float, position, grid: ti.template()):
     """Trilinear interpolation of the level between two states of the body, and its gradient."""

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
+from morph_engine.flow.carrier import REFINEMENT
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.methods.like_parts import Landmark, LikeParts
 from morph_engine.methods.method import FrameOutcome, Problem
@@ -189,8 +190,10 @@ class Flow(MpmMethod[FlowOptions]):
         self._positions = device.vectors(len(problem.source))
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
-        first, second = (device.scalars(int(self._path.size.prod())) for _ in range(2))
-        box = device.integers(6)
+        points = int(self._path.size.prod())
+        first, second, self._near = (device.scalars(points) for _ in range(3))
+        self._padded = np.zeros(points, device.numpy_real)
+        box, self._near_box = (device.integers(6) for _ in range(2))
         box.from_numpy(np.concatenate([self._path.corner, self._path.size]).astype(np.int32))
         self._levels = [
             flow.Levels(now=now, then=then, box=box)
@@ -314,10 +317,11 @@ class Flow(MpmMethod[FlowOptions]):
 
     def _upload_body(self, slot: int, frame: int) -> None:
         body = self._bodies.at(*(self._share(frame + later) for later in range(3)))
-        real = self.device.numpy_real
-        self._levels[slot].now.from_numpy(
-            (body.level.ravel() / real(self._edge)).astype(real, copy=False)
-        )
+        real, near, levels = self.device.numpy_real, body.level.values, self._levels[slot]
+        self._padded[: near.size] = near.ravel() / real(self._edge)
+        self._near.from_numpy(self._padded)
+        self._near_box.from_numpy(np.array([*body.level.corner, *near.shape], np.int32))
+        flow.extend(self._near, self._near_box, levels.now, levels.box, 1 / REFINEMENT)
         self._masses[slot].from_numpy(body.mass.ravel().astype(real, copy=False))
         self._boxes[slot] = body.box
 

@@ -23,6 +23,7 @@ from morph_engine.flow import (
     Settling,
     StrayPieces,
     Warp,
+    extend,
     fine_axis,
     prepare,
     register,
@@ -94,7 +95,7 @@ def test_a_body_has_its_share_of_both_volumes_and_all_the_matter(share: float) -
     )
     body = path.at(share)
     first, last = path.volumes
-    volume = np.count_nonzero(body.level < 0) / 8
+    volume = np.count_nonzero(body.level.values < 0) / 8
     assert first == pytest.approx(4 / 3 * np.pi * 27, rel=0.02)
     assert volume == pytest.approx((1 - share) * first + share * last, rel=0.01)
     assert body.mass.sum() == pytest.approx(500, rel=1e-4)
@@ -104,7 +105,7 @@ def test_a_body_has_its_volume_between_ends_that_lie_far_apart() -> None:
     """Between two balls that do not touch there are two of half the size, and both are kept."""
     ends = (ball_distance((-5, 0, 0), 2), ball_distance((5, 0, 0), 2))
     body = BodyPath(*ends, GRID, reach=4, matter=30).at(0.5)
-    assert np.count_nonzero(body.level < 0) / 8 == pytest.approx(4 / 3 * np.pi * 8, rel=0.1)
+    assert np.count_nonzero(body.level.values < 0) / 8 == pytest.approx(4 / 3 * np.pi * 8, rel=0.1)
 
 
 def test_the_pressure_moves_matter_to_where_the_body_goes() -> None:
@@ -169,8 +170,9 @@ def test_the_pressure_takes_out_a_flow_through_the_surface() -> None:
 def solid(path: BodyPath, share: float) -> np.ndarray:
     """Which points of the whole fine lattice of GRID are inside the body."""
     inside = np.zeros((len(fine_axis(GRID)),) * 3, bool)
-    box = zip(path.corner, path.corner + path.size, strict=True)
-    inside[tuple(slice(low, high) for low, high in box)] = path.at(share).level < 0
+    level = path.at(share).level
+    box = zip(level.corner, level.corner + level.values.shape, strict=True)
+    inside[tuple(slice(low, high) for low, high in box)] = level.values < 0
     return inside
 
 
@@ -371,10 +373,13 @@ def test_what_is_cut_off_all_the_same_is_given_up() -> None:
     axis = fine_axis(grid)
     teapot, heart = (mesh_distance(make(name), axis, 1.0) for name in ("teapot", "heart"))
     path = BodyPath(teapot, heart, grid, reach=4, matter=35_000, tension=1.0)
-    assert [scipy.ndimage.label(path.at(share).level < 0)[1] for share in (0.3, 0.4)] == [1, 1]
+    assert [scipy.ndimage.label(path.at(share).level.values < 0)[1] for share in (0.3, 0.4)] == [
+        1,
+        1,
+    ]
     ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 2)
     path = BodyPath(np.minimum(ball, other), ball, GRID, reach=4, matter=65, tension=1.0)
-    assert scipy.ndimage.label(path.at(0.2).level < 0)[1] == 2
+    assert scipy.ndimage.label(path.at(0.2).level.values < 0)[1] == 2
 
 
 def test_many_pieces_become_one() -> None:
@@ -385,7 +390,7 @@ def test_many_pieces_become_one() -> None:
     five, ball = np.min(radii, axis=0) - 1.8, radii[2] - 4
     for ends in ((five, ball), (ball, five)):
         path = BodyPath(*(e.astype(np.float32) for e in ends), grid, reach=4, matter=130)
-        levels = [path.at(share).level for share in np.linspace(0, 1, 11)]
+        levels = [path.at(share).level.values for share in np.linspace(0, 1, 11)]
         counts = [scipy.ndimage.label(level < 0)[1] for level in levels]
         assert {counts[0], counts[-1]} == {1, 5}
         assert set(counts) <= {1, 2, 3, 4, 5}
@@ -402,9 +407,27 @@ def test_the_level_leads_back_to_the_body_from_everywhere_near() -> None:
     """No local minimum outside, between two shapes of which one has a far part."""
     ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 1)
     path = BodyPath(np.minimum(ball, other), ball, GRID, reach=4, matter=65, tension=1.0)
-    level = path.at(0.9).level
+    level = path.at(0.9).level.values
     lowest = scipy.ndimage.minimum_filter(level, size=3)
     assert not ((level == lowest) & (level > 0.1) & (level < 6)).any()
+
+
+def test_outside_its_box_a_level_is_that_of_the_edge_and_the_distance_to_it() -> None:
+    """So it grows away from the body, up to the ends of the larger box."""
+    backend.start("cpu", threads=2)
+    device = backend.active()
+    near = np.random.default_rng(0).random((4, 5, 3), np.float32)
+    corner, size, low = np.array([2, 1, 0]), np.array([9, 7, 8]), np.array([3, 1, 4])
+    boxes = []
+    for box in ((low, near.shape), (corner, size)):
+        boxes.append(device.integers(6))
+        boxes[-1].from_numpy(np.concatenate(box).astype(np.int32))
+    level = device.scalars(int(size.prod()))
+    extend(device.upload(near.ravel()), boxes[0], level, boxes[1], 0.5)
+    points = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1) + corner - low
+    edge = points.clip(0, np.array(near.shape) - 1)
+    wanted = near[tuple(edge.T)].T + 0.5 * np.linalg.norm(points - edge, axis=-1)
+    assert level.to_numpy().reshape(size) == pytest.approx(wanted, abs=1e-5)
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.5, 1.0])
@@ -470,9 +493,10 @@ def test_distances_are_carried_exactly_near_the_surface(turned) -> None:
     ends = [cloud_distance(body, axis, 0.5) for body in (source, turn.apply(source))]
     carrier = Carrier(warp, ends, GRID)
     places = carrier.places(share)
-    level = carrier.blended(share, places)
+    blend = carrier.blended(share, places)
+    level = blend.values
     points = np.stack(np.meshgrid(*map(np.arange, level.shape), indexing="ij")) + (
-        carrier.corner.reshape(3, 1, 1, 1)
+        blend.corner.reshape(3, 1, 1, 1)
     )
     along = points / CELL - np.reshape(places.corner, (3, 1, 1, 1))
     blended = 0
