@@ -29,8 +29,9 @@ SPHERE_RADIUS = 7.0
 TYPICAL_EXTENT = 32
 """Half the cells along an axis of the grids of most pairs of shapes by default."""
 
-SMALL: dict[str, Any] = {"sampling.points_per_cell_edge": 1, "frames": 1}
-"""A run of 1400 particles of a sphere calls the kernels of a large one."""
+SMALL: dict[str, Any] = {"sampling.points_per_cell_edge": 1, "frames": 2}
+"""A run of 1400 particles of a sphere calls the kernels of a large one, in its second frame the
+last of them."""
 
 
 def warm_up(threads: int, method: str | None = None, extent: int | None = None) -> Iterator[None]:

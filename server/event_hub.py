@@ -27,6 +27,9 @@ from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 
 POLL_SECONDS = 0.15
+LOOK_SECONDS = 0.03
+"""How often it is looked whether a log that is here has grown, which asks nobody else."""
+
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
 CHECK_SECONDS = 1.0
@@ -70,6 +73,10 @@ class JobFeed:
             new = self._log.read(known[-1][0] if known else 0, limit=1 << 30)
             self._events = known + [(event.id, encode_event(event)) for event in new]
         self._size, self.state = size, state
+
+    def has_grown(self) -> bool:
+        """Whether there is more to read than the last time."""
+        return self._log.version()[1] != self._size
 
     def publish(self) -> None:
         """Let the subscribers see what the last read has found."""
@@ -237,7 +244,15 @@ class EventHub:
                 await asyncio.sleep(1)
             for feed in feeds.values():
                 feed.publish()
-            await asyncio.sleep(POLL_SECONDS)
+            await anyio.to_thread.run_sync(self._wait, feeds, limiter=self._thread)
+
+    def _wait(self, feeds: dict[str, JobFeed]) -> None:
+        """Wait for the next poll, or until a log has grown."""
+        poll_at = time.monotonic() + POLL_SECONDS
+        while time.monotonic() < poll_at:
+            time.sleep(LOOK_SECONDS)
+            if any(feed.has_grown() for feed in feeds.values()):
+                return
 
     async def _end_revoked(self) -> None:
         """End the streams of keys and share links that have been revoked since they began."""

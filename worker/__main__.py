@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
@@ -21,6 +22,7 @@ from chamfer_morph.worker.slots import WorkerSlots, executor_id, janitor_id
 from morph_engine.errors import MorphError
 
 if TYPE_CHECKING:
+    from chamfer_morph.worker.queue import JobQueue
     from chamfer_morph.worker.storage import Storage
 
 POLL_SECONDS = 0.05
@@ -123,7 +125,7 @@ def run_slot(settings: Settings, executor: str, storage: Storage) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
-    spare = SpareEngine(settings, storage)
+    spare = SpareEngine(settings, storage, partial(jobs_wait, queue))
     look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
     while not ended.is_set():
@@ -144,6 +146,16 @@ def run_slot(settings: Settings, executor: str, storage: Storage) -> None:
         slots.unregister(executor)
     telemetry.flush()
     os._exit(0)  # the engine process of its job ends with it
+
+
+def jobs_wait(queue: JobQueue) -> bool:
+    """Whether jobs are queued; asked seldom, so that no connection is kept for it."""
+    try:
+        return queue.waiting_since() is not None
+    except sa.exc.DBAPIError:  # the slot's lock finds out what that means
+        return False
+    finally:
+        queue.close()
 
 
 if __name__ == "__main__":

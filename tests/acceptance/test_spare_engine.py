@@ -124,12 +124,25 @@ def test_nothing_stays_behind(cluster, number):
     worker = cluster.worker()
     spare_of(cluster, worker)
     job = cluster.submit(frames=120)
+    cluster.submit()  # for which the next spare engine is started before this job ends
     cluster.wait_for_frame(job, 1)
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
     family = [cluster.engine(worker), cluster.spare(worker)]
     worker.send_signal(number)
     worker.wait(10)
     cluster.wait_until(lambda: not any(each.is_running() for each in family), "the end of all")
+
+
+def test_while_no_job_waits_the_next_process_leaves_the_cores_to_this_one(cluster):
+    """There is none before the job's own has ended."""
+    worker = cluster.worker()
+    spare_of(cluster, worker)
+    job = cluster.submit(frames=40)
+    cluster.wait_for_frame(job, 1)
+    while not cluster.job(job).state.finished:
+        assert not cluster.spare(worker) or not cluster.engines(worker)
+    assert cluster.job(job).state is JobState.SUCCEEDED
+    cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
 
 
 def test_none_is_kept_where_none_is_wanted(cluster):
