@@ -5,7 +5,7 @@ Most of that time goes to the source lines that an error at each node would show
 decorator it searches all loaded modules for a line of source, which imports each of them that was
 to be imported when first used. Here errors name file, line and function, and the line is read from
 the file that the frame itself names. A function that many kernels call is looked up once, and its
-lines are laid out once.
+lines are laid out once. Device arrays do not keep the text of the stack that made them.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ def shorten() -> None:
     with _no_search_of_modules():
         # before its modules: a lazy package is loaded twice else, and in Python 3.10 at first use
         _ = importlib.import_module("taichi").__version__
+    from taichi import lang
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
@@ -38,6 +39,9 @@ def shorten() -> None:
     looked_for = getattr(kernel_impl, "_inside_class", None)
     if patterns and looked_for and [*inspect.signature(looked_for).parameters] == [_LEVEL]:
         kernel_impl._inside_class = _inside_class
+    for module in (lang._ndarray, lang.matrix):
+        if hasattr(module, "get_traceback"):
+            module.get_traceback = lambda stacklevel=1: ""
     for name in ("getsourcelines", "getsourcefile"):
         look_up = getattr(kernel_impl, name, None)
         if look_up and not hasattr(look_up, "cache_info"):

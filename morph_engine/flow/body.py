@@ -330,7 +330,8 @@ def _distance_to_others(mask: NDArray[np.bool_]) -> Field:
 
 def _piece_count(distance: Field) -> int:
     """Separate pieces of a shape that hold more than a few particles."""
-    pieces, _ = scipy.ndimage.label(distance < 0)
+    inside = distance < 0
+    pieces, _ = scipy.ndimage.label(inside[_bounding_box(inside, margin=0)])
     return max(1, int(np.count_nonzero(np.bincount(pieces.ravel())[1:] >= LEAST_PIECE)))
 
 

@@ -27,7 +27,7 @@ times as fast as along a straight line: warps squeeze."""
 MARGIN = 3.0
 """Distances are blended so far from the controls [dx]; the body ends nearer to them."""
 
-SAMPLES = 21
+SAMPLES = 11
 """Shares of the way at which is looked where the controls are."""
 
 FAR = 1e3

@@ -32,7 +32,8 @@ from morph_engine.flow.multigrid import (
     v_cycle,
 )
 from morph_engine.flow.node_box import NodeBox
-from morph_engine.mpm.grid import Grid, is_inside
+from morph_engine.mpm.grid import Grid
+from morph_engine.mpm.grid_size import PADDING
 from morph_engine.unfilled_arrays import unfilled
 
 LEAST_FILLED = 0.05
@@ -99,11 +100,12 @@ class Projection:
         """Look at no other nodes than these.
 
         Args:
-            body: The box of all nodes that shall hold matter.
+            body: The box of all nodes that shall hold matter; those in the padding do not.
             reach: The box of all that matter may give velocity to, and of the body.
         """
-        for name, box in (("body", body), ("reach", reach)):
-            low, high = np.maximum(box.low, 0), np.minimum(box.high, self.grid.resolution)
+        for name, box, margin in (("body", body, PADDING), ("reach", reach, 0)):
+            low = np.maximum(box.low, margin)
+            high = np.maximum(np.minimum(box.high, self.grid.resolution - margin), low)
             self._vectors[name].from_numpy(np.concatenate([low, high]).astype(np.int32))
 
     def forget(self) -> None:
@@ -218,7 +220,7 @@ def list_rows(
         found = 0
         for i in range(begin, end):
             most = most_wanted(mass, next_mass, share, next_share, i)
-            found += int(most > LEAST_FILLED and is_inside(i, grid))
+            found += int(most > LEAST_FILLED)
         system.line[k] = found
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -229,7 +231,7 @@ def list_rows(
         row = system.line[k]
         for i in range(begin, end):
             most = most_wanted(mass, next_mass, share, next_share, i)
-            if most > LEAST_FILLED and is_inside(i, grid):
+            if most > LEAST_FILLED:
                 system.index[i] = row
                 system.node[row] = i
                 vectors.filled[row] = ti.min(ti.max(most, nodes[i].w / full), 1.0)
@@ -421,7 +423,7 @@ def finish(
         begin, end = line_of(k, vectors.reach, grid)
         for i in range(begin, end):
             cells = ti.select(nodes[i].w < NEARLY_EMPTY * full, CALM, FASTEST)
-            limit, speed = cells * grid.dx / dt, nodes[i].xyz.norm()
-            if speed > limit:
+            limit, squared = cells * grid.dx / dt, nodes[i].xyz.norm_sqr()
+            if squared > limit * limit:
                 for axis in ti.static(range(3)):
-                    nodes[i][axis] *= limit / speed
+                    nodes[i][axis] *= limit / ti.sqrt(squared)

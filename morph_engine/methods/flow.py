@@ -13,7 +13,6 @@ from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
 from morph_engine.errors import ConfigError, SimulationError
-from morph_engine.flow.carrier import REFINEMENT
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.methods.like_parts import Landmark, LikeParts
 from morph_engine.methods.method import FrameOutcome, Problem
@@ -321,7 +320,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._padded[: near.size] = near.ravel() / real(self._edge)
         self._near.from_numpy(self._padded)
         self._near_box.from_numpy(np.array([*body.level.corner, *near.shape], np.int32))
-        flow.extend(self._near, self._near_box, levels.now, levels.box, 1 / REFINEMENT)
+        flow.extend(self._near, self._near_box, levels.now, levels.box, 1 / flow.REFINEMENT)
         self._masses[slot].from_numpy(body.mass.ravel().astype(real, copy=False))
         self._boxes[slot] = body.box
 
