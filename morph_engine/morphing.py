@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from morph_engine import backend, kept_results, methods
 from morph_engine.config import MorphConfig
-from morph_engine.cost import estimate_run
+from morph_engine.cost import BYTES_IN_RESULT, estimate_run
 from morph_engine.device import Device
 from morph_engine.errors import ConfigError, MeshError, ResourceError, SimulationError
 from morph_engine.geometry.mesh import Mesh
@@ -60,8 +60,6 @@ Stage = Literal["preparing", "computing"]
 """What goes on before the first frame of a leg: the method gets ready, the frame is computed."""
 
 MEGABYTE = 1e6
-BYTES_PER_PARTICLE = 16
-"""Of one frame on the disk: three coordinates and det F."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +263,7 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
         raise ResourceError(f"There is no folder {folder}.", "Create it, or choose another `out`.")
     # The frames lie on the disk twice while the result is assembled; some may be there already.
     frames = 2 * record.planned_frames - finished_frames(out)
-    disk = BYTES_PER_PARTICLE * record.particle_count * frames / MEGABYTE + 10
+    disk = BYTES_IN_RESULT * record.particle_count * frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
         raise ResourceError(
