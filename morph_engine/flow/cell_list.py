@@ -51,10 +51,9 @@ class CellList:
     def build(self, x: Any) -> None:
         """List particles at x [dx], device array, shape [count, 3]."""
         _list_cells(
-            x, self.box, self.first, self._cell, self.order,
+            x, self.box, self.first, self._cell, self.order, *self.columns,
             self.origin, self.edge, self._per_axis,
         )  # fmt: skip
-        _fill_columns(x, self.order, *self.columns)
 
 
 @ti.func
@@ -97,30 +96,20 @@ def sum_lanes(values):
 
 
 @ti.kernel
-def _fill_columns(
-    x: ti.types.ndarray(),
-    order: ti.types.ndarray(),
-    x_column: ti.types.ndarray(),
-    y_column: ti.types.ndarray(),
-    z_column: ti.types.ndarray(),
-):
-    for slot in range(order.shape[0]):
-        position = x[order[slot]]
-        x_column[slot], y_column[slot], z_column[slot] = position.x, position.y, position.z
-
-
-@ti.kernel
 def _list_cells(
     x: ti.types.ndarray(),
     box: ti.types.ndarray(),
     first: ti.types.ndarray(),
     cell: ti.types.ndarray(),
     order: ti.types.ndarray(),
+    x_column: ti.types.ndarray(),
+    y_column: ti.types.ndarray(),
+    z_column: ti.types.ndarray(),
     origin: float,
     edge: float,
     cells: int,
 ):
-    """List particles cell by cell: a counting sort, serial."""
+    """List particles cell by cell, by a counting sort, and fill the columns."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         low, high = x[0], x[0]
@@ -145,3 +134,6 @@ def _list_cells(
             p = x.shape[0] - 1 - q
             first[cell[p]] -= 1
             order[first[cell[p]]] = p
+    for slot in range(order.shape[0]):
+        position = x[order[slot]]
+        x_column[slot], y_column[slot], z_column[slot] = position.x, position.y, position.z
