@@ -138,8 +138,9 @@ class Warp:
         distance, near = cKDTree(controls).query(points, min(FOLLOWED, len(controls)))
         reach = np.maximum(distance[:, -1:], 1.5 * self._spacing)
         weight = (1 - (distance / (1.001 * reach)) ** 2) ** 2
-        close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
-        weight = np.where(near < self._landmark_count, close * weight, weight)
+        if self._landmark_count:
+            close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
+            weight = np.where(near < self._landmark_count, close * weight, weight)
         weight = weight / weight.sum(axis=1, keepdims=True)
         rows = np.arange(len(points) + 1) * near.shape[1]
         shape = len(points), len(controls)
