@@ -44,6 +44,24 @@ def _shorten(kind: Any) -> None:
     kind.to_numpy, kind.from_numpy = to_host, from_host
 
 
+def copy_to_front(array: Any, values: NDArray[Any]) -> None:
+    """Copy to the first elements of a device array; what the others hold has no meaning then."""
+    if _shortened and _copies_memory(array):
+        memory(array)[: len(values)] = values
+    else:
+        padded = np.zeros(_shape(array), ti.lang.util.to_numpy_type(array.dtype))
+        padded[: len(values)] = values
+        array.from_numpy(padded)
+
+
+def copy_of_front(array: Any, count: int) -> NDArray[Any]:
+    """The first elements of a device array, so many."""
+    if _shortened and _copies_memory(array):
+        return memory(array)[:count].copy()
+    front: NDArray[Any] = array.to_numpy()[:count]
+    return front
+
+
 def memory(array: Any) -> NDArray[Any]:
     """The memory of a device array on a CPU: valid as long as the array is."""
     program = ti.lang.impl.get_runtime().prog

@@ -135,8 +135,8 @@ def start(
     kernel_launching.forget()
     _remove_old_lock(kernel_folder())
     options: dict[str, Any] = {"cpu_max_num_threads": threads} if threads else {}
-    # Taichi announces itself on stdout
-    with contextlib.redirect_stdout(io.StringIO()), pinned(threads):
+    pinning = pinned(threads) if wanted.on_cpu else contextlib.nullcontext()
+    with contextlib.redirect_stdout(io.StringIO()), pinning:  # Taichi announces itself on stdout
         ti.init(
             arch=getattr(ti, wanted.device),
             default_fp=wanted.real,

@@ -26,9 +26,11 @@ from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.queue import JobQueue, JobRecord
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 
-POLL_SECONDS = 0.15
 LOOK_SECONDS = 0.03
-"""How often it is looked whether a log that is here has grown, which asks nobody else."""
+"""How often logs are read on, as far as they are here."""
+
+LOOKS = 5
+"""How often they are between two polls of the database, and of an object store."""
 
 KEEP_ALIVE_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 1000
@@ -73,10 +75,6 @@ class JobFeed:
             new = self._log.read(known[-1][0] if known else 0, limit=1 << 30)
             self._events = known + [(event.id, encode_event(event)) for event in new]
         self._size, self.state = size, state
-
-    def has_grown(self) -> bool:
-        """Whether there is more to read than the last time."""
-        return self._log.version()[1] != self._size
 
     def publish(self) -> None:
         """Let the subscribers see what the last read has found."""
@@ -238,21 +236,23 @@ class EventHub:
                 if time.monotonic() - checked_at > CHECK_SECONDS:
                     await self._end_revoked()
                     checked_at = time.monotonic()
-                await anyio.to_thread.run_sync(self._read_all, feeds, limiter=self._thread)
+                await self._read(self._read_all, feeds)
+                for _ in range(LOOKS):
+                    await asyncio.sleep(LOOK_SECONDS)
+                    await self._read(self._read_logs, feeds)
             except Exception:
                 _LOG.warning("events cannot be read now", exc_info=True)
                 await asyncio.sleep(1)
+
+    async def _read(
+        self, read: Callable[[dict[str, JobFeed]], None], feeds: dict[str, JobFeed]
+    ) -> None:
+        """Read in a thread, and publish what could be."""
+        try:
+            await anyio.to_thread.run_sync(read, feeds, limiter=self._thread)
+        finally:
             for feed in feeds.values():
                 feed.publish()
-            await anyio.to_thread.run_sync(self._wait, feeds, limiter=self._thread)
-
-    def _wait(self, feeds: dict[str, JobFeed]) -> None:
-        """Wait for the next poll, or until a log has grown."""
-        poll_at = time.monotonic() + POLL_SECONDS
-        while time.monotonic() < poll_at:
-            time.sleep(LOOK_SECONDS)
-            if any(feed.has_grown() for feed in feeds.values()):
-                return
 
     async def _end_revoked(self) -> None:
         """End the streams of keys and share links that have been revoked since they began."""
@@ -269,6 +269,11 @@ class EventHub:
         for job_id, feed in feeds.items():
             self._fetch_log(job_id)
             feed.read(states.get(job_id))
+
+    def _read_logs(self, feeds: dict[str, JobFeed]) -> None:
+        """Read logs as they are here; states are as the last poll found them."""
+        for feed in feeds.values():
+            feed.read(feed.state)
 
     def _fetch_log(self, job_id: str) -> None:
         """See to it that the events of a job are here; while that fails, streams tell states."""

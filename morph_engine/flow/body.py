@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -73,7 +72,8 @@ class Body:
     box: NodeBox
 
 
-class Indicator(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Indicator:
     """1 inside a body and 0 outside, in a box.
 
     Attributes:
@@ -142,9 +142,9 @@ class BodyPath:
             coarse = [np.ascontiguousarray(end[::2, ::2, ::2]) for end in (first, last)]
             inside = [int(np.count_nonzero(distance < 0)) for distance in coarse]
             shares = _even_shares(blend.coarser(*coarse), *inside)
-            self._blended = lambda share: Level(self.corner, blend.at(_interpolated(shares, share)))
             self.corner = np.array([along.start for along in box])
             self.size = np.array([along.stop - along.start for along in box])
+            self._blended = lambda share: Level(self.corner, blend.at(_interpolated(shares, share)))
 
     @property
     def volumes(self) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from morph_engine import backend
+from morph_engine.array_copies import copy_of_front, copy_to_front
 from morph_engine.flow.warp import Warp
 from morph_engine.mpm.grid import Grid
 
@@ -93,7 +94,6 @@ class Carrier:
         self._axis = grid.origin + grid.dx * np.arange(0, grid.resolution + COARSENING, COARSENING)
         most = len(self._axis) ** 3
         self._back, self._onward = (backend.active().vectors(most) for _ in range(2))
-        self._padded = np.zeros((most, 3), backend.active().numpy_real)
         self._coarse = backend.active().scalars(most)
         half_diagonal = math.sqrt(3) / 2 * COARSENING * grid.dx
         self._far = STEEPEST * half_diagonal
@@ -112,8 +112,7 @@ class Carrier:
     def blended(self, share: float, places: Places) -> Level:
         """phi_s around the controls, within `corner` and `size`."""
         for array, points in ((self._back, places.back), (self._onward, places.onward)):
-            self._padded[: len(points)] = points
-            array.from_numpy(self._padded)
+            copy_to_front(array, points)
         first, points = np.array(places.corner), np.array(places.size)
         low = np.maximum(CELL * first, self.corner)
         size = np.minimum(CELL * (first + points - 1) + 1, self.corner + self.size) - low
@@ -122,7 +121,7 @@ class Carrier:
             self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
             ti.math.ivec3(low), ti.math.ivec3(size), ti.math.ivec3(first), ti.math.ivec3(points),
         )  # fmt: skip
-        values = self._level.to_numpy()[: size.prod()].reshape(size)
+        values = copy_of_front(self._level, int(size.prod())).reshape(size)
         return Level(low, values.astype(np.float32, copy=False))
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
+from morph_engine.array_copies import copy_to_front
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.methods.like_parts import Landmark, LikeParts
@@ -191,7 +192,6 @@ class Flow(MpmMethod[FlowOptions]):
         self._volume_ratio = device.scalars(len(problem.source))
         points = int(self._path.size.prod())
         first, second, self._near = (device.scalars(points) for _ in range(3))
-        self._padded = np.zeros(points, device.numpy_real)
         box, self._near_box = (device.integers(6) for _ in range(2))
         box.from_numpy(np.concatenate([self._path.corner, self._path.size]).astype(np.int32))
         self._levels = [
@@ -317,8 +317,7 @@ class Flow(MpmMethod[FlowOptions]):
     def _upload_body(self, slot: int, frame: int) -> None:
         body = self._bodies.at(*(self._share(frame + later) for later in range(3)))
         real, near, levels = self.device.numpy_real, body.level.values, self._levels[slot]
-        self._padded[: near.size] = near.ravel() / real(self._edge)
-        self._near.from_numpy(self._padded)
+        copy_to_front(self._near, near.ravel() / real(self._edge))
         self._near_box.from_numpy(np.array([*body.level.corner, *near.shape], np.int32))
         flow.extend(self._near, self._near_box, levels.now, levels.box, 1 / flow.REFINEMENT)
         self._masses[slot].from_numpy(body.mass.ravel().astype(real, copy=False))

@@ -83,6 +83,12 @@ class SpareEngine:
                     self._taken = self._new_engine(job_dir=job_dir, log=messages)
             return self._taken
 
+    def end(self) -> None:
+        """End the spare process at once, which it does by itself soon after this one ends."""
+        with self._lock:
+            if self._spare:
+                self._spare.kill()
+
     def _is_time(self) -> bool:
         """Whether the last process has ended, or is nearly done and a job waits."""
         if not self._taken or self._taken.ended:
@@ -91,12 +97,6 @@ class SpareEngine:
             return False
         self._ask_at = time.monotonic() + ASK_SECONDS
         return self._jobs_wait()
-
-    def end(self) -> None:
-        """End the spare process at once, which it does by itself soon after this one ends."""
-        with self._lock:
-            if self._spare:
-                self._spare.kill()
 
 
 def threads_per_job(settings: Settings) -> int:
