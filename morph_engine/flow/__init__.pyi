@@ -2,7 +2,7 @@ from .bodies_ahead import BodiesAhead as BodiesAhead
 from .body import Body as Body
 from .body import BodyPath as BodyPath
 from .body import fine_axis as fine_axis
-from .carrier import REFINEMENT as REFINEMENT
+from .body_states import BodyStates as BodyStates
 from .contact import LayerArrays as LayerArrays
 from .contact import Levels as Levels
 from .contact import extend as extend

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from morph_engine import flow, geometry, kept_results, mpm
-from morph_engine.array_copies import copy_to_front
 from morph_engine.errors import ConfigError, SimulationError
 from morph_engine.flow.node_box import NodeBox
 from morph_engine.methods.like_parts import Landmark, LikeParts
@@ -33,6 +32,7 @@ from morph_engine.smoothstep import smoothstep
 from morph_engine.spans import span
 
 if TYPE_CHECKING:
+    from morph_engine.flow import Body
     from morph_engine.geometry.mesh import Mesh
     from morph_engine.methods.options import MethodConfig
     from morph_engine.mpm import Material, Simulation
@@ -190,16 +190,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._positions = device.vectors(len(problem.source))
         self._guidance = device.vectors(len(problem.source))
         self._volume_ratio = device.scalars(len(problem.source))
-        points = int(self._path.size.prod())
-        first, second, self._near = (device.scalars(points) for _ in range(3))
-        box, self._near_box = (device.integers(6) for _ in range(2))
-        box.from_numpy(np.concatenate([self._path.corner, self._path.size]).astype(np.int32))
-        self._levels = [
-            flow.Levels(now=now, then=then, box=box)
-            for now, then in ((first, second), (second, first))
-        ]
-        self._masses = [device.scalars(self._grid.node_count) for _ in range(2)]
-        self._boxes = [NodeBox.whole(self._grid.resolution)] * 2
+        self._states = flow.BodyStates(self._path, self._grid)
         self._moved = device.scalars(len(problem.source))
         self._body_frame = -1
         time = options.time
@@ -307,21 +298,14 @@ class Flow(MpmMethod[FlowOptions]):
     def _load_bodies(self, frame: int) -> None:
         """Bring the body before and after the frame to the device."""
         if self._body_frame != frame:
-            self._upload_body(0, frame)
+            self._states.set_before(self._body(frame))
         else:
-            for states in (self._levels, self._masses, self._boxes):
-                states.reverse()
-        self._upload_body(1, frame + 1)
+            self._states.exchange()
+        self._states.set_after(self._body(frame + 1))
         self._body_frame = frame + 1
 
-    def _upload_body(self, slot: int, frame: int) -> None:
-        body = self._bodies.at(*(self._share(frame + later) for later in range(3)))
-        real, near, levels = self.device.numpy_real, body.level.values, self._levels[slot]
-        copy_to_front(self._near, near.ravel() / real(self._edge))
-        self._near_box.from_numpy(np.array([*body.level.corner, *near.shape], np.int32))
-        flow.extend(self._near, self._near_box, levels.now, levels.box, 1 / flow.REFINEMENT)
-        self._masses[slot].from_numpy(body.mass.ravel().astype(real, copy=False))
-        self._boxes[slot] = body.box
+    def _body(self, frame: int) -> Body:
+        return self._bodies.at(*(self._share(frame + later) for later in range(3)))
 
     def _reach(self, steps: int) -> NodeBox:
         """The nodes that particles may reach in a frame of so many steps."""
@@ -364,7 +348,7 @@ class Flow(MpmMethod[FlowOptions]):
         simulation.dt = self._frame_seconds / steps
         simulation.material = self._material(simulation.dt)
         simulation.clear_faults()
-        body = self._boxes[0].union(self._boxes[1])
+        body = self._states.box
         self._projection.look_at(body, body.union(self._reach(steps)))
         self._projection.forget()
         self._moved.fill(0)
@@ -377,7 +361,7 @@ class Flow(MpmMethod[FlowOptions]):
         for step in range(steps):
             part = (step + 1) / steps
             flow.prepare(
-                self._layers[0], self._volume_ratio, self._guidance, self._levels[0], part,
+                self._layers[0], self._volume_ratio, self._guidance, self._states.levels, part,
                 depth, min(1.0, 3 * STEPS / steps), momentum, elasticity, simulation.dt,
                 simulation.grid,
             )  # fmt: skip
@@ -385,14 +369,14 @@ class Flow(MpmMethod[FlowOptions]):
             self._projection.clear(nodes)
             simulation.to_nodes()
             shares = step / steps, part
-            self._projection.project(nodes, self._masses, shares, simulation.dt, gain)
+            self._projection.project(nodes, self._states.masses, shares, simulation.dt, gain)
             simulation.to_particles()
             left, left_then = (
                 options.rounds - i * options.rounds // steps for i in (step, step + 1)
             )
             now = share + part * (next_share - share)
             for rounds in range(left, left_then, -1):
-                self._settle(simulation.layers[1].x, now, (self._levels[0], part), rounds)
+                self._settle(simulation.layers[1].x, now, (self._states.levels, part), rounds)
             simulation.layers.reverse()
             self._layers.reverse()
             if simulation.faults:
