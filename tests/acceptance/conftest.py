@@ -26,9 +26,7 @@ from chamfer_morph.worker.slots import WorkerSlots
 from chamfer_morph.worker.storage import open_storage
 from morph_engine.presets import configure
 from morph_engine.results.trajectory import Trajectory
-
-PATIENCE = 600.0
-"""What a wait gives up after [s]: long, for both cores may have other work."""
+from tests.patience import PATIENCE
 
 SPHERE = BuiltInShape(shape="sphere")
 
@@ -136,8 +134,14 @@ class Cluster:
         return time.monotonic() - start
 
     def wait_for_frame(self, job_id: str, frame: int) -> None:
-        """Wait until a frame is finished."""
-        self.wait_until(lambda: frame in self.frames(job_id), f"frame {frame} of {job_id}")
+        """Wait until a frame is finished; a job that ends without it is not waited for."""
+
+        def there_or_ended() -> bool:
+            ended = self.job(job_id).state.finished
+            return frame in self.frames(job_id) or ended
+
+        self.wait_until(there_or_ended, f"frame {frame} of {job_id}")
+        assert frame in self.frames(job_id), self.job(job_id).problem
 
     def wait_for_state(
         self, job_id: str, *states: JobState, seconds: float = PATIENCE
@@ -210,7 +214,7 @@ def with_patience(process: psutil.Process) -> None:
     try:
         process.send_signal(signal.SIGCONT)
         process.kill()
-        process.wait(5)
+        process.wait(PATIENCE)
     except psutil.Error:
         pass
 

@@ -21,6 +21,7 @@ from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
 from morph_engine.results.trajectory import write_result
+from tests.patience import PATIENCE
 
 MORPH = Path(sys.executable).with_name("morph")
 GENERATOR = np.random.default_rng(3)
@@ -149,7 +150,7 @@ def test_an_interrupted_export_leaves_nothing(tmp_path_factory, tmp_path):
     result = rising_box(tmp_path_factory.mktemp("long") / "box.vtkhdf", frames=200)
     arguments = ["export", result, "-o", "all.zip", "--format", "obj", "--surface"]
     process = subprocess.Popen([MORPH, *map(str, arguments)], cwd=tmp_path, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE
     while not (tmp_path / "all.zip.tmp.obj").exists():
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)

@@ -21,6 +21,7 @@ from morph_engine.code_digest import code_digest
 from morph_engine.files import acquire
 from morph_engine.results.spool import finished_frames, spool_path
 from morph_engine.results.trajectory import Trajectory
+from tests.patience import PATIENCE
 
 MORPH = Path(sys.executable).with_name("morph")
 RUNS = ("trial-dco", "trial-joint")
@@ -150,7 +151,7 @@ def test_ctrl_c_and_kill_cost_nothing_but_the_frame_in_progress(unbroken, tmp_pa
         _, said = process.communicate(timeout=120)
         if send == signal.SIGINT:
             assert process.returncode == 130 and "same command" in said
-        assert psutil.wait_procs(engines, timeout=10)[1] == []
+        assert psutil.wait_procs(engines, timeout=PATIENCE)[1] == []
         assert spool_path(path).is_dir() and not path.exists()
         assert provenance_of(tmp_path, RUNS[1])["cpu_seconds"] > spent
         spent = provenance_of(tmp_path, RUNS[1])["cpu_seconds"]

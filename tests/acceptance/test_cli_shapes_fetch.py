@@ -22,6 +22,7 @@ from scipy.spatial import KDTree
 from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
 from chamfer_morph.reproduction.originals import RECIPES
 from morph_engine.geometry.mesh import load_mesh
+from tests.patience import PATIENCE
 from tests.web_server import running
 
 MORPH = Path(sys.executable).with_name("morph")
@@ -155,7 +156,7 @@ def test_a_killed_download_is_resumed_by_the_same_command(web, sums, tmp_path):
             cwd=tmp_path, env=environment(tmp_path), stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         part = tmp_path / "meshes" / "originals" / "bunny.tar.gz.part"
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE
         while not (part.exists() and part.stat().st_size):
             assert time.monotonic() < deadline
             time.sleep(0.02)

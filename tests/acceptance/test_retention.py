@@ -20,6 +20,7 @@ from chamfer_morph.worker.retention.deletions import Deletions
 from chamfer_morph.worker.retention.job_sizes import JobSizes
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
+from tests.patience import PATIENCE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -31,7 +32,7 @@ def test_retention(cluster):
     for job in finished:
         cluster.wait_for_state(job, JobState.SUCCEEDED)
     worker.terminate()
-    worker.wait(10)
+    worker.wait(PATIENCE)
     queued = cluster.submit()
     storage, queue = cluster.storage, cluster.queue
     engine = database(cluster.settings)

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from chamfer_morph.worker.slots import executor_id
-from tests.acceptance.conftest import PATIENCE
+from tests.patience import PATIENCE
 
 SCRIPT = Path(__file__).resolve().parents[2] / "docker" / "slurm" / "morph-workers.sbatch"
 

@@ -14,6 +14,7 @@ import pytest
 
 from chamfer_morph.schemas import JobState
 from morph_engine.child_process import python_command
+from tests.patience import PATIENCE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -129,7 +130,7 @@ def test_nothing_stays_behind(cluster, number):
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "the next spare engine")
     family = [cluster.engine(worker), cluster.spare(worker)]
     worker.send_signal(number)
-    worker.wait(10)
+    worker.wait(PATIENCE)
     cluster.wait_until(lambda: not any(each.is_running() for each in family), "the end of all")
 
 

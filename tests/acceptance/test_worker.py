@@ -23,6 +23,7 @@ from chamfer_morph.worker.slots import executor_id, janitor_id
 from chamfer_morph.worker.storage import Storage
 from morph_engine.presets import configure
 from tests.acceptance.conftest import POSTGRES_BY_FAULT_TESTS, SPHERE
+from tests.patience import PATIENCE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as of POSIX")
 
@@ -209,7 +210,7 @@ def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     assert tight.poll() is None
     assert not cluster.engines(tight)
     tight.terminate()
-    tight.wait(10)
+    tight.wait(PATIENCE)
     cluster.worker()
     cluster.queue.resume(job)
     cluster.wait_for_state(job, JobState.SUCCEEDED)
@@ -227,7 +228,7 @@ def test_a_job_that_fills_too_much_disk_is_stopped(cluster):
     kept = len(cluster.frames(job))
     assert 0 < kept < 10_000
     tight.terminate()
-    tight.wait(10)
+    tight.wait(PATIENCE)
     cluster.worker()
     cluster.queue.resume(job)
     cluster.wait_for_frame(job, kept + 1)
