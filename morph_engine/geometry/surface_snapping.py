@@ -24,6 +24,19 @@ ADHERENCE = 0.3
 """Weight of a vertex's own nearest point against planes through those of its neighbours. At 0.1
 triangles fold 3 to 15 times as often; at 1 a cube's corner is missed by 0.5 h, not 0.3 h."""
 
+TURNED = 0.3
+"""Cosine of the angle that a triangle may turn by. At the corners of a cube it is 0.58; triangles
+fold where the mesh has two sheets, as at a rim or a lid, and neighbours are drawn to either."""
+
+RINGS = 2
+"""How far around what has turned too much the moves are smoothed [edges]."""
+
+ROUNDS = 4
+"""Times that is done, at most: it may turn what is beside."""
+
+SWEEPS = 30
+"""Averages with the neighbours in a round."""
+
 
 def snapped_to(surface: Surface, mesh: Mesh, share: float, spacing: float) -> Surface:
     """Move the vertices of a surface towards a mesh, and to its edges and corners.
@@ -46,8 +59,31 @@ def snapped_to(surface: Surface, mesh: Mesh, share: float, spacing: float) -> Su
     normals = igl.per_face_normals(mesh.vertices, triangles, np.zeros(3))[face]
     goals = _where_planes_meet(nearest, normals, near, surface.faces)
     _, _, goals = igl.point_mesh_squared_distance(goals, mesh.vertices, triangles)
-    moved = surface.vertices + share * near[:, None] * (goals - surface.vertices)
-    return Surface(moved, surface.faces)
+    moves = _unfolded(surface, near[:, None] * (goals - surface.vertices))
+    return Surface(surface.vertices + share * moves, surface.faces)
+
+
+def _unfolded(surface: Surface, moves: Floats) -> Floats:
+    """Moves of the vertices [dx], shape [V, 3], but smooth where they would fold the surface."""
+    ring = _neighbors(surface.faces, len(moves))
+    degree = ring.sum(axis=1)
+    faces = surface.faces.astype(np.int64)
+    before = igl.per_face_normals(surface.vertices, faces, np.zeros(3))
+    smooth = np.zeros(len(moves), bool)
+    for _ in range(ROUNDS):
+        after = igl.per_face_normals(surface.vertices + moves, faces, np.zeros(3))
+        turned = np.einsum("fi,fi->f", before, after) < TURNED
+        if not turned.any():
+            break
+        around = np.zeros(len(moves), bool)
+        around[faces[turned]] = True
+        for _ in range(RINGS):
+            around |= ring @ around > 0
+        smooth |= around
+        rows = ring[smooth]
+        for _ in range(SWEEPS):
+            moves[smooth] = (rows @ moves) / degree[smooth, None]
+    return moves
 
 
 def _where_planes_meet(
@@ -65,11 +101,16 @@ def _where_planes_meet(
         faces: Which vertices are neighbours, shape [F, 3].
     """
     count = len(points)
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    edges = scipy.sparse.coo_array((np.ones(len(start)), (start, end)), shape=(count, count))
-    ring = edges.tocsr() + scipy.sparse.eye_array(count, format="csr")
+    ring = _neighbors(faces, count) + scipy.sparse.eye_array(count, format="csr")
     outer = weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
     matrix = (ring @ outer.reshape(count, 9)).reshape(count, 3, 3) + ADHERENCE * np.eye(3)
     right = ring @ np.einsum("vij,vj->vi", outer, points) + ADHERENCE * points
     met: Floats = np.linalg.solve(matrix, right[..., None])[..., 0]
     return met
+
+
+def _neighbors(faces: npt.NDArray[np.int32], count: int) -> scipy.sparse.csr_array:
+    """1 for each two of so many vertices that an edge joins, shape [V, V]."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    edges = scipy.sparse.coo_array((np.ones(len(start)), (start, end)), shape=(count, count))
+    return edges.tocsr()

@@ -113,6 +113,25 @@ def test_edges_and_corners_are_sharp():
     assert drawn.volume == pytest.approx(6**3, rel=1e-3)
 
 
+def test_nothing_folds_at_a_rim():
+    """An open cup: beside its rim the nearest points lie inside and outside, by turns."""
+    cup = trimesh.creation.annulus(2.6, 3, 4)
+    floor = trimesh.creation.cylinder(
+        3, 1.2, transform=trimesh.transformations.translation_matrix((0, 0, -2))
+    )
+    both = trimesh.util.concatenate([cup, floor])
+    mesh = make_mesh(both.vertices, both.faces, name="cup")
+    found = reconstruct_surface(sample_lattice(mesh, spacing=H, jitter="none"), H)
+    drawn = snapped_to(found, mesh, 1.0, H)
+    normals = [
+        igl.per_face_normals(each.vertices, each.faces.astype(np.int64), np.zeros(3))
+        for each in (found, drawn)
+    ]
+    assert np.einsum("fi,fi->f", *normals).min() > 0
+    apart, before = (surface_deviation(each, mesh)["mean"] for each in (drawn, found))
+    assert apart < 0.3 * before
+
+
 def test_the_last_frame_lies_on_the_users_own_mesh(run):
     """In the coordinates of the target's file."""
     drawn, found = (surface(run, COUNT - 1, snap=snap, units="user") for snap in (True, False))
