@@ -46,11 +46,8 @@ SAMPLES = 21
 LEAST_CHANGE = 0.05
 """What the body counts as changed over the whole of its way, whatever it does."""
 
-AROUND = 4
-"""Grid cells around the body in which its level is given."""
-
-SPLINE = np.array([1, 4, 6, 4, 1], np.float32) / 16
-"""Quadratic B-spline of a grid cell's width at the points of the fine lattice."""
+AROUND = 2
+"""Grid cells around the body in which its level is given; from 1.5 on it is a distance to nodes."""
 
 Box = tuple[slice, ...]
 
@@ -204,9 +201,10 @@ class BodyPath:
 
     def _without_threads(self, level: Field, indicator: Indicator) -> Field:
         """Give up what is too thin for particles: threads of limbs that come or go."""
-        kept = _dilated(indicator.smooth > THREAD, REFINEMENT + 1)
-        within = level[indicator.box]
-        np.maximum(within, self._step, out=within, where=~kept)
+        within, thick = level[indicator.box], indicator.smooth > THREAD
+        if np.any((within < 0) & ~thick):
+            kept = _dilated(thick, REFINEMENT + 1)
+            np.maximum(within, self._step, out=within, where=~kept)
         return level
 
     def _without_pieces(self, level: Field) -> Field:
@@ -241,10 +239,7 @@ class BodyPath:
         np.clip(np.subtract(0.5, sharp, out=sharp), 0, 1, out=sharp)
         if known and known.box == box and np.array_equal(known.sharp, sharp):
             return known
-        smooth = sharp
-        for axis in range(3):
-            smooth = scipy.ndimage.convolve1d(smooth, SPLINE, axis=axis, mode="constant")
-        return Indicator(box, sharp, smooth)
+        return Indicator(box, sharp, smoothed(sharp))
 
     def _mass(self, indicator: Field, corner: NDArray[np.int64]) -> tuple[Field, NodeBox]:
         """The matter at nodes, all of it, and the nodes that have it.
@@ -294,6 +289,29 @@ def refined(field: Field) -> Field:
         np.add(coarse[:-1], coarse[1:], out=along[1::2])
         along[1::2] *= np.float32(0.5)
     return finer
+
+
+def smoothed(field: Field) -> Field:
+    """A field, 0 beyond its box, as quadratic B-splines of a grid cell's width see it.
+
+    On the fine lattice they are (1, 4, 6, 4, 1) / 16 along each axis: four sums of neighbours.
+    """
+    for axis in range(3):
+        for _ in range(4):
+            field = _sums_of_neighbors(field, axis)
+    within = field[2:-2, 2:-2, 2:-2]
+    return within * np.float32(16**-3)
+
+
+def _sums_of_neighbors(field: Field, axis: int) -> Field:
+    """Sums of each point and the next along an axis, one more than there are points."""
+    size = list(field.shape)
+    size[axis] += 1
+    sums = np.empty(size, np.float32)
+    values, along = np.moveaxis(field, axis, 0), np.moveaxis(sums, axis, 0)
+    along[0], along[-1] = values[0], values[-1]
+    np.add(values[1:], values[:-1], out=along[1:-1])
+    return sums
 
 
 def _slope(field: Field, axis: int) -> Field:

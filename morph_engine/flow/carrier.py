@@ -21,7 +21,7 @@ COARSENING = 2
 CELL = REFINEMENT * COARSENING
 """Lattice steps of the distances between these points."""
 
-STEEPEST = 3.0
+STEEPEST = 2.0
 """A coarse cell is far from the surface where that would lie beyond it if distances changed so many
 times as fast as along a straight line: warps squeeze."""
 
@@ -55,8 +55,8 @@ class Places:
     Attributes:
         corner: Its lowest point, counted from the grid's, shape [3].
         size: Points along each axis, shape [3].
-        back: Where they come from [dx], shape [n, 3].
-        onward: Where they go [dx], shape [n, 3].
+        back: Where they come from [lattice steps from the grid's lowest point], shape [n, 3].
+        onward: Where they go, likewise.
     """
 
     corner: list[int]
@@ -107,7 +107,11 @@ class Carrier:
             corner.append(max(int(first) - 1, 0))
             axes.append(self._axis[corner[-1] : last + 1])
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        return Places(corner, [len(axis) for axis in axes], *self._warp.ends(nodes, share))
+        steps = [
+            (places - self._grid.origin) * (REFINEMENT / self._grid.dx)
+            for places in self._warp.ends(nodes, share)
+        ]
+        return Places(corner, [len(axis) for axis in axes], *steps)
 
     def blended(self, share: float, places: Places) -> Level:
         """phi_s around the controls, within `corner` and `size`."""
@@ -118,8 +122,8 @@ class Carrier:
         size = np.minimum(CELL * (first + points - 1) + 1, self.corner + self.size) - low
         carry(
             self._back, self._onward, *self._ends, self._coarse, self._level, share, self._far,
-            self._grid.origin, self._grid.dx / REFINEMENT, ti.math.ivec3(self._count),
-            ti.math.ivec3(low), ti.math.ivec3(size), ti.math.ivec3(first), ti.math.ivec3(points),
+            ti.math.ivec3(self._count), ti.math.ivec3(low), ti.math.ivec3(size),
+            ti.math.ivec3(first), ti.math.ivec3(points),
         )  # fmt: skip
         values = copy_of_front(self._level, int(size.prod())).reshape(size)
         return Level(low, values.astype(np.float32, copy=False))
@@ -131,25 +135,21 @@ def interpolated(field: ti.template(), along, size):
     inside = ti.math.clamp(along, 0.0, size - 1.001)
     corner = ti.floor(inside, int)
     f = inside - corner
-    total = ti.zero(field[0])
-    for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
-        x = f.x if ti.static(i == 1) else 1 - f.x
-        y = f.y if ti.static(j == 1) else 1 - f.y
-        z = f.z if ti.static(k == 1) else 1 - f.z
-        at = ((corner.x + i) * size.y + corner.y + j) * size.z + corner.z + k
-        total += x * y * z * field[at]
-    return total
+    edges = ti.Matrix.zero(float, 2, 2)
+    for i, j in ti.static(ti.ndrange(2, 2)):
+        at = ((corner.x + i) * size.y + corner.y + j) * size.z + corner.z
+        edges[i, j] = ti.math.mix(field[at], field[at + 1], f.z)
+    faces = ti.math.mix(edges[:, 0], edges[:, 1], f.y)
+    return ti.math.mix(faces[0], faces[1], f.x)
 
 
 @ti.func
 def blended(
-    source: ti.template(), target: ti.template(), back, onward, share: float,
-    origin: float, step: float, size,
+    source: ti.template(), target: ti.template(), back, onward, share: float, size
 ):  # fmt: skip
     """Both distances, at the places where a point comes from and goes, weighted by the share."""
-    first = interpolated(source, (back - origin) / step, size)
-    last = interpolated(target, (onward - origin) / step, size)
-    return (1 - share) * first + share * last
+    first, last = interpolated(source, back, size), interpolated(target, onward, size)
+    return ti.math.mix(first, last, share)
 
 
 @ti.func
@@ -181,8 +181,6 @@ def carry(
     level: ti.types.ndarray(),
     share: float,
     far: float,
-    origin: float,
-    step: float,
     size: ti.math.ivec3,
     low: ti.math.ivec3,
     box: ti.math.ivec3,
@@ -197,7 +195,7 @@ def carry(
     of points along z goes from one coarser cell to the next.
     """
     for n in range(coarse_size.x * coarse_size.y * coarse_size.z):
-        coarse[n] = blended(source, target, back[n], onward[n], share, origin, step, size)
+        coarse[n] = blended(source, target, back[n], onward[n], share, size)
     for row in range(box.x * box.y):
         for k in range(box.z):
             level[row * box.z + k] = FAR
@@ -223,5 +221,5 @@ def carry(
                         z = (k - first) / float(CELL)
                         level[row * box.z + k] = blended(
                             source, target, (1 - z) * here + z * here_on,
-                            (1 - z) * there + z * there_on, share, origin, step, size,
+                            (1 - z) * there + z * there_on, share, size,
                         )  # fmt: skip

@@ -8,7 +8,14 @@ from typing import Any
 import taichi as ti
 
 from morph_engine import backend
-from morph_engine.flow.cell_list import LANES, CellList, cell_of, column_of, load_lanes
+from morph_engine.flow.cell_list import (
+    LANES,
+    CellList,
+    cell_of,
+    column_of,
+    load_lanes,
+    zero_lanes,
+)
 
 FAR = 1e30
 
@@ -57,7 +64,7 @@ def find_gaps(
     for p in range(x.shape[0]):
         low = cell_of(x[p] - bound, box, origin, edge)
         high = cell_of(x[p] + bound, box, origin, edge)
-        least, here = bound * bound, 0
+        least, here = zero_lanes() + bound * bound, zero_lanes()
         for i in range(low.x, high.x + 1):
             for j in range(low.y, high.y + 1):
                 row = column_of(i, j, box)
@@ -69,7 +76,10 @@ def find_gaps(
                     away_z = x[p].z - load_lanes(z_column, slot)
                     squared = away_x**2 + away_y**2 + away_z**2
                     for lane in ti.static(range(LANES)):
-                        if slot + lane < end:
-                            here += int(squared[lane] == 0)
-                            least = ti.min(least, ti.select(squared[lane] == 0, FAR, squared[lane]))
-        gap[p] = 0.0 if here > 1 else ti.select(least < bound * bound, ti.sqrt(least), ti.math.inf)
+                        square = ti.select(slot + lane < end, squared[lane], FAR)
+                        here[lane] += ti.select(square == 0, 1, 0)
+                        least[lane] = ti.min(least[lane], ti.select(square == 0, FAR, square))
+        nearest = least.min()
+        gap[p] = ti.select(nearest < bound * bound, ti.sqrt(nearest), ti.math.inf)
+        if here.sum() > 1:
+            gap[p] = 0.0

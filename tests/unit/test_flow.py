@@ -30,7 +30,7 @@ from morph_engine.flow import (
     register,
     sample_controls,
 )
-from morph_engine.flow.body import refined
+from morph_engine.flow.body import refined, smoothed
 from morph_engine.flow.carrier import CELL, Carrier
 from morph_engine.flow.cell_list import CellList
 from morph_engine.flow.limbs import in_turn
@@ -425,6 +425,17 @@ def test_a_refined_field_is_trilinear_between_its_points() -> None:
     np.testing.assert_allclose(refined(field), zoomed, rtol=3e-7)
 
 
+def test_a_field_is_smoothed_by_splines_and_is_zero_beyond_its_box() -> None:
+    """As by convolution along each axis."""
+    field = np.random.default_rng(3).random((7, 6, 9), np.float32)
+    expected = field.astype(np.float64)
+    for axis in range(3):
+        expected = scipy.ndimage.convolve1d(
+            expected, np.array([1, 4, 6, 4, 1]) / 16, axis=axis, mode="constant"
+        )
+    np.testing.assert_allclose(smoothed(field), expected, rtol=1e-5)
+
+
 def test_the_level_leads_back_to_the_body_from_everywhere_near() -> None:
     """No local minimum outside, between two shapes of which one has a far part."""
     ball, other = ball_distance((-3, 0, 0), 2.5), ball_distance((4, 0, 0), 1)
@@ -527,8 +538,8 @@ def test_distances_are_carried_exactly_near_the_surface(turned) -> None:
             scipy.ndimage.map_coordinates(one.reshape(places.size), along, order=1, mode="nearest")
             for one in at.T
         ]
-        there = (np.stack(place) - GRID.origin) / (axis[1] - axis[0])
-        blended += weight * scipy.ndimage.map_coordinates(end, there, order=1, mode="nearest")
+        there = scipy.ndimage.map_coordinates(end, np.stack(place), order=1, mode="nearest")
+        blended += weight * there
     inside = (along >= 0).all(axis=0) & (along.T < np.array(places.size) - 1).all(axis=-1).T
     near = inside & (np.abs(blended) < 1)
     assert near.sum() > 1000
