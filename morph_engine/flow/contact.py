@@ -93,17 +93,15 @@ def relaxed(F, kept: float):
     Returns a triangular F of this b, with det F = 1; rotations mean nothing to an isotropic law.
     """
     J = ti.math.clamp(F.determinant(), 0.1, 10.0)
-    b = kept * inverse_cube_root(J) ** 2 * (F @ F.transpose()) + (1 - kept) * ti.Matrix.identity(
-        float, 3
-    )
+    F_isochoric = inverse_cube_root(J) * F
+    b = kept * F_isochoric @ F_isochoric.transpose() + (1 - kept) * ti.Matrix.identity(float, 3)
     xx = ti.sqrt(ti.max(b[0, 0], SMALLEST))
     yx, zx = b[1, 0] / xx, b[2, 0] / xx
     yy = ti.sqrt(ti.max(b[1, 1] - yx * yx, SMALLEST))
     zy = (b[2, 1] - zx * yx) / yy
     zz = ti.sqrt(ti.max(b[2, 2] - zx * zx - zy * zy, SMALLEST))
-    return inverse_cube_root(xx * yy * zz) * ti.Matrix(
-        [[xx, 0.0, 0.0], [yx, yy, 0.0], [zx, zy, zz]]
-    )
+    triangular = ti.Matrix([[xx, 0.0, 0.0], [yx, yy, 0.0], [zx, zy, zz]])
+    return inverse_cube_root(xx * yy * zz) * triangular
 
 
 @ti.kernel

@@ -142,18 +142,13 @@ def _mark_few_links(
     for p in range(x.shape[0]):
         low = cell_of(x[p] - reach, box, origin, edge)
         high = cell_of(x[p] + reach, box, origin, edge)
-        links, size = -1, high - low + 1  # linked to itself
-        for a in range(size.x):  # from the middle on, where most links are
-            i = low.x + size.x // 2 + a
-            i -= ti.select(i > high.x, size.x, 0)
-            for b in range(size.y):
-                j = low.y + size.y // 2 + b
-                j -= ti.select(j > high.y, size.y, 0)
-                begin, end = 0, 0
-                if links <= FEW:
-                    row = column_of(i, j, box)
-                    begin, end = first[row + low.z], first[row + high.z + 1]
-                for group in range((end - begin + LANES - 1) // LANES):
+        links = -1  # to itself
+        for i in range(low.x, high.x + 1):
+            for j in range(low.y, high.y + 1):
+                row = column_of(i, j, box)
+                begin, end = first[row + low.z], first[row + high.z + 1]
+                groups = (end - begin + LANES - 1) // LANES if links <= FEW else 0
+                for group in range(groups):
                     slot = begin + group * LANES
                     away_x = x[p].x - load_lanes(x_column, slot)
                     away_y = x[p].y - load_lanes(y_column, slot)

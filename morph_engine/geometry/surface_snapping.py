@@ -57,16 +57,17 @@ def snapped_to(surface: Surface, mesh: Mesh, share: float, spacing: float) -> Su
     )
     near = np.clip(2 - 2 * np.sqrt(squared) / (REACH_OVER_H * spacing), 0, 1)
     normals = igl.per_face_normals(mesh.vertices, triangles, np.zeros(3))[face]
-    goals = _where_planes_meet(nearest, normals, near, surface.faces)
+    neighbors = _neighbors(surface.faces, len(nearest))
+    goals = _where_planes_meet(nearest, normals, near, neighbors)
     _, _, goals = igl.point_mesh_squared_distance(goals, mesh.vertices, triangles)
-    moves = _unfolded(surface, near[:, None] * (goals - surface.vertices))
+    moves = _unfolded(surface, near[:, None] * (goals - surface.vertices), neighbors)
     return Surface(surface.vertices + share * moves, surface.faces)
 
 
-def _unfolded(surface: Surface, moves: Floats) -> Floats:
+def _unfolded(surface: Surface, moves: Floats, neighbors: scipy.sparse.csr_array) -> Floats:
     """Moves of the vertices [dx], shape [V, 3], but smooth where they would fold the surface."""
-    ring = _neighbors(surface.faces, len(moves))
-    degree = ring.sum(axis=1)
+    moves = moves.copy()
+    degree = neighbors.sum(axis=1)
     faces = surface.faces.astype(np.int64)
     before = igl.per_face_normals(surface.vertices, faces, np.zeros(3))
     smooth = np.zeros(len(moves), bool)
@@ -78,16 +79,16 @@ def _unfolded(surface: Surface, moves: Floats) -> Floats:
         around = np.zeros(len(moves), bool)
         around[faces[turned]] = True
         for _ in range(RINGS):
-            around |= ring @ around > 0
+            around |= neighbors @ around > 0
         smooth |= around
-        rows = ring[smooth]
+        rows = neighbors[smooth]
         for _ in range(SWEEPS):
             moves[smooth] = (rows @ moves) / degree[smooth, None]
     return moves
 
 
 def _where_planes_meet(
-    points: Floats, normals: Floats, weights: Floats, faces: npt.NDArray[np.int32]
+    points: Floats, normals: Floats, weights: Floats, neighbors: scipy.sparse.csr_array
 ) -> Floats:
     """The point nearest to the planes of each vertex and its neighbours: on an edge where two meet.
 
@@ -98,10 +99,10 @@ def _where_planes_meet(
         points: A point of the plane of each vertex [dx], shape [V, 3].
         normals: Its unit normal, shape [V, 3].
         weights: Its weight, shape [V].
-        faces: Which vertices are neighbours, shape [F, 3].
+        neighbors: 1 for each two vertices that are neighbours, shape [V, V].
     """
     count = len(points)
-    ring = _neighbors(faces, count) + scipy.sparse.eye_array(count, format="csr")
+    ring = neighbors + scipy.sparse.eye_array(count, format="csr")
     outer = weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
     matrix = (ring @ outer.reshape(count, 9)).reshape(count, 3, 3) + ADHERENCE * np.eye(3)
     right = ring @ np.einsum("vij,vj->vi", outer, points) + ADHERENCE * points

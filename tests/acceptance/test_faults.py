@@ -128,7 +128,7 @@ def test_engine_crash(cluster, undisturbed, number):
 
 def test_engine_hangs(cluster, undisturbed):
     """An engine that finishes nothing for too long is stopped and started again."""
-    worker = cluster.worker(MORPH_STALL_SECONDS="40")  # a busy machine starts an engine in 10
+    worker = cluster.worker(MORPH_STALL_SECONDS="40")  # longer than an engine takes to start
     job = cluster.submit()
     cluster.wait_for_frame(job, 3)
     cluster.engine(worker).send_signal(signal.SIGSTOP)
