@@ -87,16 +87,10 @@ def test_the_camera_is_one(page, jobs, service):
     assert alike(*after)
 
 
-def test_a_job_that_has_not_begun_joins_later(new_service, new_page):
+def test_a_job_that_has_not_begun_joins_later(service, jobs, release, page):
     """It has no picture at first; with its first frames it takes on camera and time."""
-    fresh = new_service()
-    page = new_page(of=fresh)
-    done = fresh.submit(name="there", method="dco", frames=4)
-    fresh.wait_for(done, "succeeded")
-    before = fresh.submit(name="in the way", frames=2000)
-    fresh.wait_for(before, "running")
-    waiting = fresh.submit(name="to come", method="dco", frames=4)
-    page.goto(f"/compare?jobs={done},{waiting}&{SAME}")
+    waiting = service.submit(name="to come", method="dco", frames=4)
+    page.goto(f"/compare?jobs={jobs[0]},{waiting}&{SAME}")
     expect_frames(page, "4 of 4")
     expect(page.locator(".scene canvas").nth(1)).to_have_attribute(
         "aria-label", "No frame is finished yet."
@@ -104,7 +98,7 @@ def test_a_job_that_has_not_begun_joins_later(new_service, new_page):
     page.locator(".scene").first.focus()
     for _ in range(6):
         page.keyboard.press("4")
-    fresh.call("POST", f"/v1/jobs/{before}/cancel")
+    release()
     expect_frames(page, "4 of 4", "4 of 4")
     assert alike(*pictures(page))
 
