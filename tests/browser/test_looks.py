@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -60,32 +61,58 @@ def surface(service, sculpture) -> trimesh.Trimesh:
     return trimesh.load(io.BytesIO(answer.content), file_type="ply", process=False)
 
 
+@pytest.fixture(scope="module")
+def drawn(surface) -> Callable[..., np.ndarray]:
+    """Draws it as `morph render` does, from the front."""
+    return partial(
+        picture, surface.vertices, spacing=1.0, faces=np.asarray(surface.faces, np.int32),
+        view=Camera.facing(surface.vertices, look(azimuth=0, elevation=0), (SIZE, SIZE)),
+        size=(SIZE, SIZE),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def outline(drawn) -> np.ndarray:
+    """Where the shape is in those pictures."""
+    return drawn(material="clay", background=None)[..., 3] > 127
+
+
+@pytest.fixture(scope="module")
+def clay() -> list[Image.Image]:
+    """The page's picture in clay, once it is drawn."""
+    return []
+
+
 @pytest.fixture
-def silhouette(page, sculpture) -> np.ndarray:
+def small_page(new_page) -> Page:
+    """Software takes seconds for a picture in full quality of each hundred thousand pixels."""
+    return new_page(viewport={"width": 1000, "height": 640})
+
+
+@pytest.fixture
+def silhouette(small_page, sculpture, clay) -> np.ndarray:
     """Where the shape is in the page's pictures: clay is redder than all around it."""
-    rgb = np.asarray(shown(page, sculpture, "clay").convert("RGB"), np.float64)
+    if not clay:
+        clay.append(shown(small_page, sculpture, "clay"))
+    rgb = np.asarray(clay[0].convert("RGB"), np.float64)
     return rgb[..., 0] - rgb[..., 2] > 20
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_look_is_the_same_in_the_page_and_on_the_command_line(
-    page, sculpture, surface, silhouette, name
+    small_page, sculpture, clay, silhouette, drawn, outline, name
 ):
     """CIE 1976 difference of the mean colours below 7, and of cells below 9 on the average.
 
     Reflections differ in their places, of metal most: the page has a room of boxes and an eye at a
     distance.
     """
-    seen = shown(page, sculpture, name)
+    seen = clay[0] if name == "clay" else shown(small_page, sculpture, name)
     behind = np.asarray(seen.convert("RGB"))[5, seen.width // 2] / 255
-    drawn = partial(
-        picture, surface.vertices, spacing=1.0, faces=np.asarray(surface.faces, np.int32),
-        view=Camera.facing(surface.vertices, look(azimuth=0, elevation=0), (SIZE, SIZE)),
-        size=(SIZE, SIZE), material=name,
-    )  # fmt: skip
-    outline = drawn(material="clay", background=None)[..., 3] > 127
     here, full = cells(seen, silhouette)
-    there, also_full = cells(Image.fromarray(drawn(background=tuple(behind))), outline)
+    there, also_full = cells(
+        Image.fromarray(drawn(material=name, background=tuple(behind))), outline
+    )
     both = full & also_full
     assert np.count_nonzero(both) > CELLS**2 / 3
     assert differences(here[both].mean(axis=0), there[both].mean(axis=0)) < 7
