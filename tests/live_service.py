@@ -92,6 +92,14 @@ class LiveService:
         assert answer.is_success, answer.text
         return str(answer.json()["id"])
 
+    def pause_queue(self) -> None:
+        """Let jobs wait that have not begun."""
+        assert self.call("POST", "/v1/queue/pause").is_success
+
+    def unpause_queue(self) -> None:
+        """Let them begin."""
+        assert self.call("POST", "/v1/queue/unpause").is_success
+
     def job(self, job_id: str) -> dict[str, Any]:
         """A job as it stands."""
         shown: dict[str, Any] = self.call("GET", f"/v1/jobs/{job_id}").json()

@@ -64,15 +64,10 @@ def service(new_service: Callable[..., LiveService]) -> LiveService:
 
 
 @pytest.fixture
-def release(service: LiveService) -> Iterator[Callable[[], None]]:
-    """Jobs that are submitted wait in the queue until this is called."""
-
-    def unpause() -> None:
-        assert service.call("POST", "/v1/queue/unpause").is_success
-
-    assert service.call("POST", "/v1/queue/pause").is_success
-    yield unpause
-    unpause()
+def queue_goes_on(service: LiveService) -> Iterator[None]:
+    """A test that pauses the queue leaves it as it was, however it ends."""
+    yield
+    service.unpause_queue()
 
 
 @pytest.fixture(scope="session")
@@ -89,12 +84,12 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     start = ["nice", "-n", "19", path]
     if os.geteuid() == 0 and (setpriv := shutil.which("setpriv")):
         start = [setpriv, "--inh-caps=-sys_nice", "--bounding-set=-sys_nice", *start]
-    nicest = tmp_path_factory.mktemp("browser") / "chromium"
-    nicest.write_text(f'#!/bin/sh\nexec {shlex.join(start)} "$@"\n')
-    nicest.chmod(0o755)
+    launcher = tmp_path_factory.mktemp("browser") / "chromium"
+    launcher.write_text(f'#!/bin/sh\nexec {shlex.join(start)} "$@"\n')
+    launcher.chmod(0o755)
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=nicest, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=launcher, args=FLAGS)
         yield browser
         browser.close()
 

@@ -87,8 +87,10 @@ def test_the_camera_is_one(page, jobs, service):
     assert alike(*after)
 
 
-def test_a_job_that_has_not_begun_joins_later(service, jobs, release, page):
+@pytest.mark.usefixtures("queue_goes_on")
+def test_a_job_that_has_not_begun_joins_later(service, jobs, page):
     """It has no picture at first; with its first frames it takes on camera and time."""
+    service.pause_queue()
     waiting = service.submit(name="to come", method="dco", frames=4)
     page.goto(f"/compare?jobs={jobs[0]},{waiting}&{SAME}")
     expect_frames(page, "4 of 4")
@@ -98,7 +100,7 @@ def test_a_job_that_has_not_begun_joins_later(service, jobs, release, page):
     page.locator(".scene").first.focus()
     for _ in range(6):
         page.keyboard.press("4")
-    release()
+    service.unpause_queue()
     expect_frames(page, "4 of 4", "4 of 4")
     assert alike(*pictures(page))
 

@@ -156,53 +156,57 @@ def test_a_download_that_breaks_off_is_told_of(opened):
     expect(opened.get_by_text("The service does not answer.")).to_be_visible()
 
 
-def test_a_remembered_target_comes_with_the_first_frame(service, release, page):
+@pytest.mark.usefixtures("queue_goes_on")
+def test_a_remembered_target_comes_with_the_first_frame(service, page):
     """On a page that was opened before the job began, too."""
     page.goto("/")
     shown = {"colour": "height", "target": "cloud"}
     page.evaluate("shown => localStorage.setItem('morph-display', JSON.stringify(shown))", shown)
+    service.pause_queue()
     job = service.submit(name="waiting", frames=FRAMES, method="dco")
     with page.expect_response(re.compile("/target")) as refused:
         page.goto(f"/jobs/{job}")
     assert refused.value.status == 404
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     with page.expect_response(re.compile("/target"), timeout=COMPILING * 1000) as found:
-        release()
+        service.unpause_queue()
     assert found.value.ok
 
 
-def test_the_source_is_in_sight_before_the_first_frame(service, release, page):
+@pytest.mark.usefixtures("queue_goes_on")
+def test_the_source_is_in_sight_before_the_first_frame(service, page):
     """While the job waits and while its method gets ready, which the page says, too."""
+    service.pause_queue()
     job = service.submit(name="large", frames=1, method="flow", overrides={})
-    page.route(re.compile(f"/jobs/{job}/frames/"), lambda _: None)  # which are on their way
+    page.route(re.compile(f"/jobs/{job}/frames/"), lambda _: None)  # its frame is on its way
     page.goto(f"/jobs/{job}")
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     expect(page.locator(".summary")).to_contain_text("Queued")
     waiting = picture(page)
     assert drawn(page) > 0.05
     with page.expect_response(re.compile("/source"), timeout=COMPILING * 1000):
-        release()
+        service.unpause_queue()
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     assert ImageStat.Stat(ImageChops.difference(picture(page), waiting)).mean[0] < 1
     service.call("POST", f"/v1/jobs/{job}/cancel")
 
 
-def test_a_retry_begins_with_the_source(service, release, page):
+@pytest.mark.usefixtures("queue_goes_on")
+def test_a_retry_begins_with_the_source(service, page):
     """While the job waits again, nothing of its first time is in sight."""
-    release()
     job = service.submit(name="twice", frames=FRAMES, method="dco")
     service.wait_for(job, "succeeded", seconds=COMPILING)
     page.goto(f"/jobs/{job}?details=overview")
     expect_frame(page, 1)
     assert drawn(page) > 0.05
-    assert service.call("POST", "/v1/queue/pause").is_success
+    service.pause_queue()
     page.get_by_role("button", name="Retry").click()
     with page.expect_response(re.compile("/shapes/sphere/particles")):
         page.get_by_role("dialog").get_by_role("button", name="Retry").click()
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     expect(page.locator(".timeline output")).to_have_text("–")
     assert drawn(page) > 0.05
-    release()
+    service.unpause_queue()
     expect_frame(page, FRAMES)
     assert drawn(page) > 0.05
 
@@ -321,15 +325,17 @@ def test_colours_come_with_a_scale(opened, colour, legend):
     changed(opened, plain)
 
 
-def test_the_scale_of_colours_grows_with_a_run(service, release, new_page):
+@pytest.mark.usefixtures("queue_goes_on")
+def test_the_scale_of_colours_grows_with_a_run(service, new_page):
     """Who watches from the first frame on ends with the same scale as who comes later."""
     page, late = new_page(), new_page()
     page.goto("/")
     page.evaluate("localStorage.setItem('morph-display', JSON.stringify({colour: 'displacement'}))")
+    service.pause_queue()
     job = service.submit(name="far", frames=40)
     page.goto(f"/jobs/{job}")
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
-    release()
+    service.unpause_queue()
     service.wait_for(job, "succeeded", seconds=COMPILING)
     late.goto(f"/jobs/{job}")
     late.get_by_label("Colour", exact=True).select_option("displacement")

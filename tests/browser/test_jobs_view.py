@@ -196,7 +196,7 @@ def test_the_own_queue_is_paused_and_goes_on(new_service, new_page):
     expect(page.get_by_role("button", name="End the pause")).to_be_focused()
     page.get_by_role("button", name="End the pause").press("Enter")
     expect(row(page, "one that waits")).to_contain_text("Next in the queue")
-    waiting.call("POST", "/v1/queue/pause")
+    waiting.pause_queue()
     expect(page.get_by_role("button", name="End the pause")).to_be_visible()
 
 

@@ -42,7 +42,7 @@ def cells(shot: Image.Image, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.asarray(small), np.asarray(cover) > 253
 
 
-def shown(page: Page, job: str, name: str) -> Image.Image:
+def take(page: Page, job: str, name: str) -> Image.Image:
     """The page's finest picture from the front, without what floats over it."""
     page.goto(f"/jobs/{job}?frame=2&quality=full&look={name}")
     expect(page.locator(".surface-words")).to_contain_text("dx from the target")
@@ -78,36 +78,41 @@ def outline(drawn) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def clay() -> list[Image.Image]:
-    """The page's picture in clay, once it is drawn."""
-    return []
+def pictures() -> dict[str, Image.Image]:
+    """The page's by their looks, as far as they are taken."""
+    return {}
 
 
 @pytest.fixture
-def small_page(new_page) -> Page:
-    """Software takes seconds for a picture in full quality of each hundred thousand pixels."""
-    return new_page(viewport={"width": 1000, "height": 640})
+def shown(new_page, sculpture, pictures) -> Callable[[str], Image.Image]:
+    """The page's picture in a look, on a small page: software takes seconds for each."""
+
+    def find(name: str) -> Image.Image:
+        if name not in pictures:
+            page = new_page(viewport={"width": 1000, "height": 640})
+            pictures[name] = take(page, sculpture, name)
+        return pictures[name]
+
+    return find
 
 
 @pytest.fixture
-def silhouette(small_page, sculpture, clay) -> np.ndarray:
+def silhouette(shown) -> np.ndarray:
     """Where the shape is in the page's pictures: clay is redder than all around it."""
-    if not clay:
-        clay.append(shown(small_page, sculpture, "clay"))
-    rgb = np.asarray(clay[0].convert("RGB"), np.float64)
+    rgb = np.asarray(shown("clay").convert("RGB"), np.float64)
     return rgb[..., 0] - rgb[..., 2] > 20
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_look_is_the_same_in_the_page_and_on_the_command_line(
-    small_page, sculpture, clay, silhouette, drawn, outline, name
+    shown, silhouette, drawn, outline, name
 ):
     """CIE 1976 difference of the mean colours below 7, and of cells below 9 on the average.
 
     Reflections differ in their places, of metal most: the page has a room of boxes and an eye at a
     distance.
     """
-    seen = clay[0] if name == "clay" else shown(small_page, sculpture, name)
+    seen = shown(name)
     behind = np.asarray(seen.convert("RGB"))[5, seen.width // 2] / 255
     here, full = cells(seen, silhouette)
     there, also_full = cells(
