@@ -108,8 +108,8 @@ def write_partial_result(record: RunRecord, out: Path) -> Summary:
         ResultError: The disk refuses.
     """
     try:
-        spool = Spool.open(out, writable=False)
-    except ResultError:  # the run has not begun
+        spool = Spool.open(out, record, writable=False)
+    except ResultError:  # this run has not begun
         return Summary(record, out, interrupted=True)
     with spool:
         count = spool.frame_count

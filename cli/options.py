@@ -128,6 +128,12 @@ class ExecutionOptions:
     as_json: JsonOption = False
 
 
+IdempotencyKeyOption = Annotated[
+    str | None,
+    typer.Option(metavar="KEY", help="Commands with the same key have one effect between them."),
+]
+
+
 @dataclass(frozen=True)
 class SubmissionOptions:
     """How the service is to compute a job."""
@@ -146,12 +152,7 @@ class SubmissionOptions:
     states_every: Annotated[
         int, typer.Option(help="Keep the full state after every so many frames, for morph fork.")
     ] = 0
-    idempotency_key: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KEY", help="Commands with the same key have one effect between them."
-        ),
-    ] = None
+    idempotency_key: IdempotencyKeyOption = None
 
     def request(self, config: ConfigOptions) -> dict[str, Any]:
         """What jobs and sweeps are requested with, but for their idempotency key."""

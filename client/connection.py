@@ -46,7 +46,11 @@ class Connection:
     def __init__(self, server: str | None, key: str | None, timeout_seconds: float) -> None:
         self.server: str = (server or os.environ.get("MORPH_SERVER") or DEFAULT_SERVER).rstrip("/")
         secret = key or os.environ.get("MORPH_KEY") or ""
-        if not self.server.startswith(("http://", "https://")):
+        try:
+            address = httpx.URL(self.server)
+        except httpx.InvalidURL:
+            address = httpx.URL()
+        if address.scheme not in ("http", "https") or not address.host:
             raise ServiceError(
                 f"{self.server} is not the address of a service.",
                 "Write it as http://127.0.0.1:8000.",

@@ -167,11 +167,10 @@ def measure_path(result: Trajectory | str | Path, leg: int = 0) -> dict[str, flo
         places = [run.positions(int(frame)) for frame in own]
         record = run.run.leg(leg, run.positions(int(own[0]) - 1) if leg else None)
         frames = [record.source_points, *places]
-        planned = run.planned_frames_of(leg)
         corrections = run.metrics.get("correction")
         det_f = run.det_f(int(own[-1])) if leg == 0 else None  # F begins with the first leg
     share_of_way = record.config.method.share_of_way
-    shares = np.array([share_of_way(frame, planned) for frame in range(len(frames))])
+    shares = np.array([share_of_way(k, record.config.frames) for k in range(len(frames))])
     apart = record.config.spacing * np.cbrt(1 - shares + shares * record.ratio)
     settled = None
     if corrections is not None:  # on average over the particles of each frame
@@ -248,8 +247,8 @@ def _of_run(run: Trajectory, frame: int) -> _Shape:
     return _Shape(
         points=run.positions(frame),
         to_user=leg.transform,
-        spacing=run.config.spacing,
-        domain=run.config.domain,
+        spacing=leg.config.spacing,
+        domain=leg.config.domain,
         target=target,
     )
 

@@ -9,12 +9,20 @@ import hashlib
 import os
 import sys
 import time
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 POLL_SECONDS = 0.1
+
+UNREADABLE = (
+    EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What reading a damaged archive of arrays (.npz) raises: a single bit may call it encrypted."""
+
 _BLOCK_BYTES = 1 << 20
 
 

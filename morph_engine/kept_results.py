@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -20,6 +19,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from morph_engine.files import UNREADABLE
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -51,7 +52,7 @@ def kept(name: str, inputs: tuple[Any, ...], compute: Callable[[], Arrays]) -> A
     if _folder is None:
         return compute()
     path = _folder / f"{name}-{_digest(inputs)}.npz"
-    with suppress(OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
+    with suppress(OSError, *UNREADABLE):
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = dict(stored)
         os.utime(path)

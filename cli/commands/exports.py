@@ -139,6 +139,7 @@ def export(
         "snap": selection.snap,
         "tracked": tracked,
         "texture": texture,
+        "fps": fps,
         "timing": playback.timing(fps),
         "picture": None,
         "fields": parse_list(fields),
@@ -150,7 +151,6 @@ def export(
             out,
             name,
             **content,
-            fps=fps,
             units=units,
             watch=writing.watch,
             tell=writing.tell,
@@ -323,6 +323,7 @@ def _written_file(
     with (
         _local_file(result, service) as path,
         removing(out.absolute().parent, f"{escape(out.name)}.tmp*"),
+        removing(out.absolute(), "frame-*.tmp"),  # where it is a folder
         ProgressDisplay(*Progress.get_default_columns(), quiet=quiet) as display,
     ):
         yield Writing(path, display.add_bar("frames"), notes.append)

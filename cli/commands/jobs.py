@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from chamfer_morph.cli import interrupt
 from chamfer_morph.cli.arguments import check_output, default_output, parse_settings
 from chamfer_morph.cli.exit_status import BAD_INPUT, JOB_FAILED
+from chamfer_morph.cli.idempotency import repeatable
 from chamfer_morph.cli.option_groups import expand_groups
 from chamfer_morph.cli.options import (
     ConfigOptions,
     ForceOption,
+    IdempotencyKeyOption,
     MethodOption,
     QuietOption,
     ResultFileOption,
@@ -59,21 +59,13 @@ def submit(
     service: ServiceOptions,
 ) -> None:
     """Have the service morph SOURCE into TARGET, or through several; prints the id of the job."""
-    import uuid
-
-    idempotency_key = submission.idempotency_key or str(uuid.uuid4())
-    report_stop = partial(
-        interrupt.report,
-        "Stopped by Ctrl-C; the job may have been submitted.",
-        f"Look with morph jobs, or repeat the command with --idempotency-key {idempotency_key}.",
-    )
-    with service.connect() as client, interrupt.at_interrupt(report_stop):
+    with service.connect() as client, repeatable(submission.idempotency_key, "the job") as key:
         job = client.submit(
             source,
             targets,
             method=method,
             seed=seed,
-            idempotency_key=idempotency_key,
+            idempotency_key=key,
             **submission.request(config),
         )
         if watch:
@@ -156,14 +148,22 @@ def fork(
     states_every: Annotated[
         int, typer.Option(help="Keep the full state after every so many frames.")
     ] = 0,
+    idempotency_key: IdempotencyKeyOption = None,
     watch: WatchOption = False,
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
     """Go on from a frame of a job with other settings, as a new job; prints its id."""
     overrides = parse_settings(settings or ())
-    with service.connect() as client:
-        job = client.fork(job_id, frame, overrides=overrides, name=name, states_every=states_every)
+    with service.connect() as client, repeatable(idempotency_key, "the job") as key:
+        job = client.fork(
+            job_id,
+            frame,
+            overrides=overrides,
+            name=name,
+            states_every=states_every,
+            idempotency_key=key,
+        )
         if watch:
             return _watch_to_end(client, job, service, quiet=quiet)
     service.print(job, job.id)

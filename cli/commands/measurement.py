@@ -11,9 +11,12 @@ from chamfer_morph.cli.exit_status import BAD_INPUT
 from chamfer_morph.cli.options import FIT_HELP, SHAPE_HELP, Fit, JsonOption
 from chamfer_morph.cli.output import error_document, print_json, print_result
 from chamfer_morph.cli.tables import print_metrics, print_report
-from morph_engine.errors import MorphError
+from morph_engine.errors import ConfigError, MorphError
 
 app: typer.Typer = typer.Typer()
+
+TAU = 0.2
+"""Threshold of F1 that the paper uses [dx]."""
 
 
 @app.command()
@@ -55,7 +58,7 @@ def metrics(
         Literal["volume", "surface"], typer.Option(help="Fill meshes, or sample their surface.")
     ] = "volume",
     frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
-    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = 0.2,
+    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = TAU,
     path: Annotated[
         bool, typer.Option("--path", help="Measure the path of a result, and its end, instead.")
     ] = False,
@@ -65,6 +68,12 @@ def metrics(
     from morph_engine.comparison import compare
 
     if path:
+        asked = (b, points_per_cell_edge, reference, frame, tau)
+        if asked != (None, None, "volume", -1, TAU):
+            raise ConfigError(
+                "--path measures all frames of one result against its own target.",
+                "Leave out --path, or everything but the result.",
+            )
         _print_path(a, as_json=as_json)
         return
 

@@ -8,6 +8,7 @@ import typer
 
 from chamfer_morph.cli.arguments import parse_list, parse_seeds
 from chamfer_morph.cli.exit_status import JOB_FAILED
+from chamfer_morph.cli.idempotency import repeatable
 from chamfer_morph.cli.option_groups import expand_groups
 from chamfer_morph.cli.options import (
     ConfigOptions,
@@ -51,14 +52,15 @@ def sweep(
         if sweep_id:
             found = client.sweep_status(sweep_id)
         else:
-            found = client.sweep(
-                parse_list(sources),
-                parse_list(targets),
-                methods=parse_list(methods),
-                seeds=parse_seeds(seeds),
-                idempotency_key=submission.idempotency_key,
-                **submission.request(config),
-            )
+            with repeatable(submission.idempotency_key, "the sweep") as key:
+                found = client.sweep(
+                    parse_list(sources),
+                    parse_list(targets),
+                    methods=parse_list(methods),
+                    seeds=parse_seeds(seeds),
+                    idempotency_key=key,
+                    **submission.request(config),
+                )
         if watch:
             from chamfer_morph.cli.watching import watch_sweep
 

@@ -15,6 +15,7 @@ from morph_engine.export.archive import write_archive, write_folder
 from morph_engine.export.format import Format
 from morph_engine.files import replacing
 from morph_engine.rendering.picture_options import PictureOptions
+from morph_engine.rendering.video_encoder import check_rate
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.run_record import Units
 from morph_engine.results.selection import Selection, check_snap
@@ -54,6 +55,7 @@ class Content(TypedDict):
     snap: bool
     tracked: bool
     texture: int | None
+    fps: float | None
     timing: Timing | None
     picture: PictureOptions | None
     fields: Sequence[str]
@@ -147,6 +149,7 @@ def export(
         texture=texture,
         fields=fields,
         frames=frames,
+        fps=fps,
         timing=timing,
         picture=picture,
     )
@@ -204,6 +207,7 @@ def check(
     texture: int | None = None,
     fields: Sequence[str] = (),
     frames: Sequence[int] | None = None,
+    fps: float | None = None,
     timing: Timing | None = None,
     picture: PictureOptions | None = None,
 ) -> None:
@@ -225,6 +229,8 @@ def check(
         _check_texture(format, texture, tracked=tracked)
     if picture:
         _check_picture(chosen, picture)
+    if rate := timing.fps if timing else fps:
+        check_rate(format, rate)
     if timing and frames is not None:
         raise ConfigError(
             "What is played for a given time shows the whole run, not chosen frames.",

@@ -139,6 +139,8 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
     count = trajectory.run.particle_count
     shown = _some(count, max(room // (moving * len(frames)), 1))
     points = np.stack([selection.placed(trajectory.positions(f)[shown], f) for f in frames])
+    finite = np.isfinite(points).all(axis=(0, 2))  # lost particles are nowhere
+    points, shown = points[:, finite], shown[finite]
     colors = None
     if trajectory.colors is not None:
         found = [selection.particle_colors(frame) for frame in frames]

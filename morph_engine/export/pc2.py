@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,20 +32,26 @@ def write(selection: Selection, path: Path) -> None:
     """Write the motion of a tracked surface; arguments as for `Format.write`.
 
     Raises:
-        ConfigError: The frames are not at even distances.
+        ConfigError: The frames are not at even distances, or the topology changes between them.
     """
-    frames = sorted(set(selection.frames))
-    if len(set(np.diff(frames))) > 1:
-        raise ConfigError(
-            "A point cache has samples at even distances, and these frames are not.",
-            "Ask for all frames, or for a range such as 0-20.",
-        )
+    _check_even(sorted(set(selection.frames)))
     surface = track_surface(selection)
+    for mesh in surface.meshes:
+        _check_even(mesh.frames)
     with zipfile.ZipFile(path, "w") as archive:
         for mesh, name in zip(surface.meshes, ("surface", "surface-after"), strict=False):
             for suffix, content in ((".obj", _first(mesh, selection)), (".pc2", _cache(mesh))):
                 entry = zipfile.ZipInfo(name + suffix, EARLIEST)
                 archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+
+
+def _check_even(frames: Sequence[int]) -> None:
+    if len(set(np.diff(frames))) > 1:
+        shown = ", ".join(map(str, frames))
+        raise ConfigError(
+            f"A point cache has samples at even distances, and frames {shown} are not.",
+            "Ask for all frames, or for a range such as 0-20.",
+        )
 
 
 def _first(mesh: TrackedMesh, selection: Selection) -> str:

@@ -33,7 +33,9 @@ def write(selection: Selection, path: Path) -> None:
     stage = Usd.Stage.CreateInMemory()
     stage.SetStartTimeCode(min(selection.frames))
     stage.SetEndTimeCode(max(selection.frames))
-    stage.SetTimeCodesPerSecond(selection.fps or FRAMES_PER_SECOND)
+    rate = selection.fps or FRAMES_PER_SECOND
+    stage.SetTimeCodesPerSecond(rate)
+    stage.SetFramesPerSecond(rate)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, METERS_PER_UNIT)
     root = UsdGeom.Xform.Define(stage, "/morph")

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from morph_engine.errors import MeshError
+from morph_engine.files import UNREADABLE
 
 FILES_LIMIT = 1000
 """Most files in an archive."""
@@ -41,7 +42,7 @@ def read_archive(data: bytes, name: str, kinds: Sequence[str], limit: int) -> tu
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = _unpacked(archive, name, limit)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, OSError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise MeshError(f"{name} is not a readable ZIP file.", "Make the archive again.") from error
     found = sorted(path for path in members if PurePosixPath(path).suffix[1:].lower() in kinds)
     if not found:

@@ -25,6 +25,7 @@ from morph_engine.rendering.picture_options import STILL, PictureOptions, backgr
 from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import (
     VideoKind,
+    check_rate,
     write_picture,
     write_pictures,
     write_video,
@@ -350,6 +351,7 @@ def video(
         )
     options = PictureOptions(size, TURN if turntable else camera, background, material)
     options.check(chosen)
+    check_rate(chosen, timing.fps if timing else fps)
     if timing and frames is not None:
         raise ConfigError(
             "A film of a given time shows the whole run, not chosen frames.",

@@ -68,8 +68,30 @@ _ENCODINGS: dict[VideoKind, _Encoding] = {
     ),
 }
 
+BT_709 = 1
+"""Primaries, transfer and matrix of HD video, by the number that ITU-T H.273 gives them."""
+
+LIMITED_RANGE = 1
+"""Of luma from 16 to 235, as players expect."""
+
+FASTEST_GIF = 50.0
+"""Most frames per second of a GIF: browsers play a frame of 10 ms or less as one of 100 ms."""
+
 TRANSPARENT_KINDS: tuple[VideoKind, ...] = ("png", "webm", "mov")
 """Kinds that may have a transparent background."""
+
+
+def check_rate(kind: str, fps: float) -> None:
+    """Refuse what players would not play at its rate.
+
+    Raises:
+        ConfigError: There are too many frames per second.
+    """
+    if kind == "gif" and fps > FASTEST_GIF:
+        raise ConfigError(
+            f"Browsers play a GIF of {fps:g} frames per second several times slower.",
+            f"Use at most {FASTEST_GIF:g} frames per second, or another kind of video.",
+        )
 
 
 def write_video(path: Path, pictures: Iterable[Picture], *, kind: VideoKind, fps: float) -> None:
@@ -139,9 +161,19 @@ def _write_by_av(path: Path, pictures: Iterable[Picture], fps: float, kind: Vide
             if not count:
                 stream.height, stream.width = picture.shape[:2]
                 stream.pix_fmt = encoding.transparent if with_alpha else encoding.opaque
-            form = "rgba" if with_alpha else "rgb24"
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format=form)))
+                _tag_colors(stream.codec_context)
+            frame = av.VideoFrame.from_ndarray(picture, format="rgba" if with_alpha else "rgb24")
+            converted = frame.reformat(
+                format=stream.pix_fmt, dst_colorspace="ITU709", dst_color_range="MPEG"
+            )
+            file.mux(stream.encode(converted))
         file.mux(stream.encode(None))
+
+
+def _tag_colors(context: Any) -> None:
+    """Say how colours are stored, since players guess differently where nothing is said."""
+    context.colorspace = context.color_primaries = context.color_trc = BT_709
+    context.color_range = LIMITED_RANGE
 
 
 def _check_codec(av: Any, codec: str) -> None:

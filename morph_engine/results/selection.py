@@ -158,7 +158,7 @@ class Selection:
             source=trajectory.run.source_points,
             target=trajectory.run.target_points_of(trajectory.leg_of(frame)),
             det_f=trajectory.det_f(frame) if name == "det_f" else None,
-            spacing=self._spacing,
+            spacing=self._spacing(trajectory.leg_of(frame)),
             workers=-1,
         )
 
@@ -209,7 +209,7 @@ class Selection:
         trajectory = self.trajectory
         share = steps / trajectory.planned_frames_of(leg)
         transform = trajectory.run.transform_to(self.units, share, leg)
-        apart = self._spacing * float(np.cbrt(np.linalg.det(transform[:3, :3])))
+        apart = self._spacing(leg) * float(np.cbrt(np.linalg.det(transform[:3, :3])))
         if not self.surface:
             colors = self._particle_colors(leg, share, close)
             return Snapshot(number, _moved(positions, transform), None, fields, apart, colors)
@@ -300,9 +300,9 @@ class Selection:
                 surface = snapped_to(surface, mesh, share, spacing)
         return surface
 
-    @property
-    def _spacing(self) -> float:
-        return self.trajectory.config.spacing
+    def _spacing(self, leg: int) -> float:
+        """What is measured against in a leg: spacing of its particles where it begins [dx]."""
+        return self.trajectory.run.leg(leg).config.spacing
 
 
 def _moved(positions: npt.ArrayLike, matrix: Positions) -> Positions:

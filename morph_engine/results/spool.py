@@ -14,7 +14,6 @@ from __future__ import annotations
 import bisect
 import json
 import shutil
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morph_engine.errors import DamagedError, ResultError
-from morph_engine.files import acquire, replacing
+from morph_engine.files import UNREADABLE, acquire, replacing
 from morph_engine.results.run_record import Json, RunRecord, Units
 
 _RUN = "run.json"
@@ -176,8 +175,9 @@ class SpoolReader:
         Raises:
             ResultError: As `run`.
         """
-        share = (self.frame_in_leg(frame) + 1) / self.run.config.frames
-        return self.run.transform_to(units, share, self.leg_of(frame))
+        leg = self.leg_of(frame)
+        share = (self.frame_in_leg(frame) + 1) / self.planned_frames_of(leg)
+        return self.run.transform_to(units, share, leg)
 
     def _frame_path(self, frame: int) -> Path:
         return self.path / f"frame-{frame:06d}.npz"
@@ -486,7 +486,7 @@ def _damaged(path: Path, how: str) -> DamagedError:
 def _reading(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, *UNREADABLE) as error:
         raise _damaged(path, f"cannot be read ({error})") from error
 
 

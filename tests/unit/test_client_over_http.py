@@ -219,7 +219,16 @@ def test_every_answer_becomes_a_cause_and_a_remedy(answer, words):
     assert all(word in str(caught.value) for word in words)
 
 
-@pytest.mark.parametrize(("server", "key"), [("localhost:8000", None), ("http://x", "a\nb")])
+@pytest.mark.parametrize(
+    ("server", "key"),
+    [
+        ("localhost:8000", None),
+        ("http://", None),
+        ("http://localhost:port", None),
+        ("http://[::1", None),
+        ("http://x", "a\nb"),
+    ],
+)
 def test_an_address_or_key_that_cannot_be_one_is_refused_at_once(server, key):
     """The user made a slip; nothing is sent."""
     with pytest.raises(ServiceError) as caught:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 import zlib
 from collections.abc import Iterator
@@ -89,6 +90,21 @@ def test_positions_come_out_as_they_went_in() -> None:
             np.testing.assert_array_equal(stored, faces)
             at += size
     assert at == len(data)
+
+
+def test_lost_particles_are_left_out(built: Path, tmp_path: Path) -> None:
+    """They are nowhere; all others are where they were."""
+    points = np.random.default_rng(2).uniform(-5, 5, (50, 3)).astype(np.float32)
+    lost = points.copy()
+    lost[7] = np.nan
+    record = RunRecord(configure("fast", {"frames": 2}), points, points, points, points)
+    with Trajectory(stored(tmp_path / "r.vtkhdf", record, iter([points, lost]))) as run:
+        page = html.page(Selection(run, (0, 1)))
+    about = json.loads(re.findall(r'id="about">([^<]*)<', page)[0])
+    assert about["points"]["count"] == 49
+    step = about["scale"] / html.LEVELS
+    found = np.array(about["offset"]) + step * unpacked(arrays(page), 2, 49)
+    np.testing.assert_allclose(found[1], np.delete(points, 7, axis=0), atol=0.51 * step)
 
 
 def test_a_file_is_below_15_mb_whatever_it_shows(built: Path, tmp_path: Path) -> None:

@@ -73,6 +73,18 @@ def test_a_damaged_file_is_replaced(folder: Path, damage: bytes | None) -> None:
     assert double.count == 2
 
 
+def test_a_flipped_bit_costs_only_time(folder: Path) -> None:
+    """One in a header calls a file encrypted, or packed in a way that nobody knows."""
+    kept("double", (POINTS,), Doubling())
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    for bit in range(0, 8 * len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        file.write_bytes(damaged)
+        np.testing.assert_array_equal(kept("double", (POINTS,), Doubling())["doubled"], 2 * POINTS)
+
+
 def test_a_folder_that_cannot_be_made_costs_nothing(tmp_path: Path) -> None:
     """Such as below a file."""
     (tmp_path / "file").touch()

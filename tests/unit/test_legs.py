@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -71,6 +72,22 @@ def test_a_frame_is_compared_with_the_target_of_its_leg(result: Path) -> None:
             assert measured["s2t"] == pytest.approx(run.metrics_at(frame)["s2t"], rel=1e-4)
 
 
+def test_a_frame_is_measured_by_the_spacing_of_its_leg(tmp_path: Path) -> None:
+    """Particles that fill a smaller shape are closer, and their spacing is what counts there."""
+    out = tmp_path / "result.vtkhdf"
+    config = small(**{"sampling.fit": "none", "frames": 2})
+    ball = make("sphere")
+    smaller = replace(ball, vertices=0.8 * ball.vertices, name="smaller")
+    for _ in morph(ball, [smaller, ball], config, device="cpu", out=out):
+        pass
+    with Trajectory(out) as run:
+        assert run.run.leg(1).config.spacing < 0.9 * run.config.spacing
+        for frame in (1, 3):
+            measured, stored = compare(run, frame=frame).values, run.metrics_at(frame)
+            for name in ("s2t_over_h", "iou"):
+                assert measured[name] == pytest.approx(stored[name], rel=1e-4)
+
+
 def test_a_leg_is_a_morph_that_begins_as_the_last_one_ended(result: Path) -> None:
     """The second leg has the bits of a morph whose source are the particles after the first."""
     with Trajectory(result) as run:
@@ -112,10 +129,16 @@ def test_a_run_goes_on_bit_for_bit_from_any_frame_of_any_leg(
             assert again.metrics_at(frame) == whole.metrics_at(frame)
 
 
-def test_a_leg_that_improves_no_more_gives_way_to_the_next() -> None:
-    """Early stopping ends a leg, and the frames count on."""
+def test_a_leg_that_improves_no_more_gives_way_to_the_next(tmp_path: Path) -> None:
+    """Early stopping ends a leg, the frames count on, and coordinates reach those of each shape."""
     stopping = {"stopping.patience": 1, "stopping.earliest_frame": 0, "stopping.tolerance": 1e9}
-    frames = list(morph("sphere", ["torus", "star"], small(**stopping), device="cpu"))
+    out = tmp_path / "result.vtkhdf"
+    frames, placed = [], []
+    for frame in morph("sphere", ["torus", "star"], small(**stopping), device="cpu", out=out):
+        frames.append(frame)
+        placed.append(SpoolReader(out).transform_at(min(frame.index, 1)))
+    with Trajectory(out) as run:
+        np.testing.assert_allclose(placed[-1], run.transform_at(1))
     assert [(frame.index, frame.leg) for frame in frames] == [(0, 0), (1, 0), (2, 1), (3, 1)]
     stops = [event for frame in frames for event in frame.events if event.kind == "stopped"]
     assert [event.frame for event in stops] == [1, 3]

@@ -22,6 +22,7 @@ from morph_engine.rendering.contact_shadow import DARKEST, Ground
 from morph_engine.rendering.materials import MATERIALS, Material, bent, light
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
+from morph_engine.rendering.video_encoder import write_video
 
 FRONT = Camera(np.eye(3), np.zeros(3), 5.0)
 SMALL = (120, 90)
@@ -303,6 +304,35 @@ def test_mp4_holds_every_frame_and_a_rest(small_result, tmp_path):
     assert pictures[0].shape == (90, 120, 3)
     change = [np.abs(a.astype(int) - b).mean() for a, b in pairwise(pictures)]
     assert min(change[:2]) > 10 * max(change[3:])
+
+
+@pytest.mark.parametrize("kind", ["mp4", "webm"])
+def test_a_video_says_how_its_colours_are_stored(tmp_path, kind):
+    """As HD video (BT.709): luma and chroma of the standard's formula, from 16 to 235 and 240."""
+    red, green, blue = 189, 129, 99
+    path = tmp_path / f"plain.{kind}"
+    pictures = [np.full((64, 64, 3), (red, green, blue), np.uint8)] * 3
+    write_video(path, pictures, kind=kind, fps=10)
+    luma = 0.2126 * red + 0.7152 * green + 0.0722 * blue
+    expected = (
+        16 + 219 * luma / 255,
+        128 + 224 * (blue - luma) / 1.8556 / 255,
+        128 + 224 * (red - luma) / 1.5748 / 255,
+    )
+    with av.open(str(path)) as file:
+        frame = next(file.decode(video=0))
+        context = file.streams.video[0].codec_context
+        assert (context.colorspace, context.color_primaries, context.color_trc) == (1, 1, 1)
+        assert context.color_range == 1
+        stored = [bytes(plane)[10 * plane.line_size + 10] for plane in frame.planes]
+    np.testing.assert_allclose(stored, expected, atol=1.5)  # rounded, and compressed
+
+
+def test_a_gif_that_browsers_would_slow_down_is_refused(small_result, tmp_path):
+    """They show a frame of 10 ms for 100."""
+    with pytest.raises(ConfigError, match="50 frames per second"):
+        video(small_result, tmp_path / "egg.gif", size=SMALL, fps=60)
+    assert not list(tmp_path.iterdir())
 
 
 def test_gif_turns_the_surface(small_result, tmp_path):

@@ -2,13 +2,14 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from morph_engine.errors import ResultError
+from morph_engine.errors import DamagedError, ResultError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import Placement
 from morph_engine.geometry.sampling import Similarity
@@ -224,6 +225,19 @@ def test_damage_is_noticed(tmp_path, name, damage):
     ):
         spool.load_checkpoint()
         spool.positions(0)
+
+
+def test_a_file_called_encrypted_is_damaged(tmp_path):
+    """One flipped bit for each file in an archive says so."""
+    with Spool.create(tmp_path / "r.vtkhdf", record()) as spool:
+        fill(spool, 1)
+        file = spool.path / "frame-000000.npz"
+        data = bytearray(file.read_bytes())
+        for entry in re.finditer(rb"PK\x01\x02", data):
+            data[entry.start() + 8] ^= 1
+        file.write_bytes(data)
+        with pytest.raises(DamagedError, match=r"frame-000000\.npz"):
+            spool.positions(0)
 
 
 def test_full_disk_keeps_the_last_checkpoint(tmp_path, monkeypatch):

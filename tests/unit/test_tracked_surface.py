@@ -250,7 +250,7 @@ def test_usd_has_triangles_without_time_samples(ring, tmp_path):
     path = export(ring, tmp_path / "ring.usdc", "usd", tracked=True, fps=30)
     found = track_surface(selection(ring, units="user"))
     stage = Usd.Stage.Open(str(path))
-    assert stage.GetTimeCodesPerSecond() == 30
+    assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == 30
     prim = stage.GetDefaultPrim()
     assert prim.GetCustomDataByKey("topologyChangesAtFrame") == found.changes_at
     for shape, mesh in zip(prim.GetChildren(), found.meshes, strict=True):
@@ -288,6 +288,15 @@ def test_point_cache_moves_the_mesh_beside_it(ring, tmp_path):
         still = trimesh.load(io.BytesIO(files[f"{name}.obj"]), "obj", process=False)
         np.testing.assert_allclose(still.vertices, places[0], atol=1e-5)
         np.testing.assert_array_equal(still.faces, mesh.faces)
+
+
+def test_point_cache_counts_the_frame_in_which_the_topology_changes(ring, tmp_path):
+    """It is shown by both meshes, and at uneven distances where it was not asked for."""
+    change = track_surface(selection(ring)).changes_at
+    step = next(step for step in (2, 3, 4) if change % step)
+    chosen = range(0, FRAMES, step)
+    with pytest.raises(ConfigError, match=f"frames .*{change}.* are not"):
+        export(ring, tmp_path / "ring.zip", "pc2", tracked=True, frames=chosen)
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,7 @@ class ExportOptions(BaseModel, frozen=True, extra="forbid"):
             "snap": self.snap,
             "tracked": self.tracked,
             "texture": self.texture,
+            "fps": self.fps,
             "timing": self.timing,
             "picture": _for_engine(self.picture) if self.picture else None,
             "fields": self.fields,

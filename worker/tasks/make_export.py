@@ -44,7 +44,6 @@ def run(
                 path,
                 options.format,
                 **options.content,
-                fps=options.fps,
                 units=options.units,
                 watch=lambda done, total: report_progress(done / max(total, 1)),
             )
