@@ -131,7 +131,7 @@ class Authenticator:
         for stored, caller in self._callers.items():
             if hmac.compare_digest(stored, digest):
                 return caller
-        raise _unauthorized("This key is unknown or revoked.")
+        raise key_revoked()
 
     async def _find_link(self, secret: str) -> Caller:
         digest = secret_digest(secret)
@@ -226,6 +226,11 @@ def _requirements(dependant: Dependant) -> Iterator[RequireScope]:
         if isinstance(inner.call, RequireScope):
             yield inner.call
         yield from _requirements(inner)
+
+
+def key_revoked() -> ProblemError:
+    """A key is not known, or not any more."""
+    return _unauthorized("This key is unknown or revoked.")
 
 
 def _unauthorized(

@@ -14,6 +14,7 @@ from fastapi import Depends, Request
 from chamfer_morph.server.auth import Authenticator, is_loopback
 from chamfer_morph.server.database import tables
 from chamfer_morph.server.database.api_keys import ApiKeyStore
+from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.database.meshes import MeshStore
 from chamfer_morph.server.database.reservations import Reservations
 from chamfer_morph.server.database.share_links import ShareLinkStore
@@ -118,6 +119,13 @@ class ServerContext:
         self.exports: SingleFlight[None] = SingleFlight(turns.kind(writing, long=True))
         self._compute_limiter = CapacityLimiter(COMPUTATIONS)
         self.thumbnails: SingleFlight[bytes] = SingleFlight(lambda owner: self._compute_limiter)
+
+    def is_revoked(self, caller: Caller) -> bool:
+        """Whether the key of a caller has been revoked since it was let in.
+
+        To be asked after making what ends with the key: whoever revokes it deletes that afterwards.
+        """
+        return bool(caller.name) and not self.api_keys.has(caller.name)
 
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
         """Call a function that takes a while in a thread, when its turn has come."""

@@ -173,6 +173,7 @@ class EventHub:
         self._feeds: dict[str, JobFeed] = {}
         self._task: asyncio.Task[None] | None = None
         self._away_until = float("-inf")
+        self._unreadable: set[str] = set()  # jobs whose log cannot be read
         self._thread = anyio.CapacityLimiter(1)
         self.closing: asyncio.Event = asyncio.Event()
 
@@ -265,15 +266,23 @@ class EventHub:
                     stream.feed.wake()
 
     def _read_all(self, feeds: dict[str, JobFeed]) -> None:
+        """Fetch and read logs; one that cannot be read keeps none of the others from it."""
         states = self._queue.states(feeds)
+        self._unreadable &= feeds.keys()
         for job_id, feed in feeds.items():
-            self._fetch_log(job_id)
-            feed.read(states.get(job_id))
+            try:
+                self._fetch_log(job_id)
+                feed.read(states.get(job_id))
+                self._unreadable.discard(job_id)
+            except Exception:
+                if job_id not in self._unreadable:
+                    _LOG.warning("events of job %s cannot be read", job_id, exc_info=True)
+                self._unreadable.add(job_id)
 
     def _read_logs(self, feeds: dict[str, JobFeed]) -> None:
         """Read logs as they are here; states are as the last poll found them."""
-        for feed in feeds.values():
-            feed.read(feed.state)
+        for job_id in feeds.keys() - self._unreadable:
+            feeds[job_id].read(feeds[job_id].state)
 
     def _fetch_log(self, job_id: str) -> None:
         """See to it that the events of a job are here; while that fails, streams tell states."""

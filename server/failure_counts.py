@@ -43,5 +43,9 @@ class FailureCounts:
         return counts
 
     def _newest(self) -> int:
-        """When the last failure happened that is counted, or this began [ms since 1970]."""
-        return max([self._begun, *self._recent.values()])
+        """When the last failure happened that is counted, or this began [ms since 1970].
+
+        Never later than now: one by a clock that is ahead must not hide others.
+        """
+        last = max([self._begun, *self._recent.values()])
+        return min(last, round(time.time() * 1000))

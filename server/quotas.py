@@ -213,8 +213,9 @@ class Quotas:
         """
         self.invalidate(owner)
         limit = self._settings.disk_bytes_per_key
+        of_jobs = self._sizes.of(owner)  # takes long, and others wait for who counts
         with self._reservations.reserving(
-            "bytes", owner, size_bytes, limit, lambda: self._measured_bytes(owner)
+            "bytes", owner, size_bytes, limit, lambda: self._meshes.totals(owner)[1] + of_jobs
         ) as reserved:
             if reserved.refused:
                 raise _disk_is_full(reserved.there, limit)

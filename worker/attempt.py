@@ -184,8 +184,11 @@ def _crash(status: int, engine: Engine, log: Path) -> Problem:
 
 
 def _last_line(log: Path) -> str:
-    """The last line of a log that says something."""
-    with log.open("rb") as file:
-        file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES, 0))
-        lines = file.read().decode(errors="replace").split("\n")
+    """The last line of a log that says something; nothing where there is no log."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES, 0))
+            lines = file.read().decode(errors="replace").split("\n")
+    except FileNotFoundError:
+        return ""
     return last_words(next((line.strip() for line in reversed(lines) if line.strip()), ""))

@@ -51,6 +51,9 @@ from morph_engine.warm_up import extent_of, warm_up
 
 SILENCE_SECONDS = 6.0
 
+_messages: int = 1
+"""Where the worker reads, as a file descriptor."""
+
 
 def main(threads: int, kept_in: Path, likely: Mapping[str, Any], log_format: str) -> None:
     """Wait for a job, compute it or go on with it, and say how it went.
@@ -61,6 +64,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any], log_format: str
         likely: `method` and `extent` that the job will probably have, see `warm_up`.
         log_format: How to log, `text` or `json`.
     """
+    _keep_output_for_messages()
     service_log.set_up_engine(log_format)
     lower_priority()
     be_ended_first()
@@ -260,9 +264,15 @@ def _watch_worker(jobs: Queue[dict[str, Any]]) -> None:
             os._exit(ExitCode.ORPHANED)
 
 
+def _keep_output_for_messages() -> None:
+    """Let what libraries and methods print go where their errors go."""
+    global _messages
+    _messages = os.dup(1)
+    os.dup2(2, 1)
+
+
 def _send(type: str, data: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps({"type": type, "data": data}) + "\n")
-    sys.stdout.flush()
+    os.write(_messages, json.dumps({"type": type, "data": data}).encode() + b"\n")
 
 
 if __name__ == "__main__":

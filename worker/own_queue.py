@@ -61,10 +61,10 @@ class OwnQueue:
     def pause(self, owner: str) -> None:
         """Start no more jobs of an owner; those that run go on."""
         row = {"owner": owner, "since": round(time.time() * 1000)}
-        with self._workflows.begin() as connection:
+        with self._giving_places(owner) as connection:
             connection.execute(sa.delete(_PAUSED_OWNERS).where(_PAUSED_OWNERS.c.owner == owner))
             connection.execute(sa.insert(_PAUSED_OWNERS).values(row))
-        self._move(owner, PAUSED_QUEUE)
+            self._move(connection, owner, PAUSED_QUEUE)
 
     def unpause(self, owner: str, first_place: int) -> None:
         """Start jobs of an owner again, from this place in the queue on."""
@@ -76,7 +76,10 @@ class OwnQueue:
 
     def settle(self, owner: str) -> None:
         """Move jobs that were queued while their owner paused, or ended a pause."""
-        self._move(owner, self.queue_of(owner))
+        paused = sa.select(_PAUSED_OWNERS.c.owner).where(_PAUSED_OWNERS.c.owner == owner)
+        with self._giving_places(owner) as connection:
+            queue = PAUSED_QUEUE if connection.execute(paused).first() else QUEUE
+            self._move(connection, owner, queue)
 
     def move_finished(self, job_id: str, place: int) -> None:
         """Give a finished job the place that it has once it is queued again."""
@@ -138,15 +141,14 @@ class OwnQueue:
             lock_transaction(connection, f"morph places {owner}")
             yield connection
 
-    def _move(self, owner: str, queue: str) -> None:
+    def _move(self, connection: sa.Connection, owner: str, queue: str) -> None:
         c = self._workflows.table.c
         elsewhere = QUEUE if queue == PAUSED_QUEUE else PAUSED_QUEUE
-        with self._workflows.begin() as connection:
-            connection.execute(
-                sa.update(self._workflows.table)
-                .where(c.queue_name == elsewhere, self._is_queued, self._is_of(owner))
-                .values(queue_name=queue)
-            )
+        connection.execute(
+            sa.update(self._workflows.table)
+            .where(c.queue_name == elsewhere, self._is_queued, self._is_of(owner))
+            .values(queue_name=queue)
+        )
 
     def _waiting(self, owner: str, queue: str) -> sa.Select[Any]:
         """Id, place, priority and time of moving to the front of an owner's jobs, by age."""

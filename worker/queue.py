@@ -384,7 +384,18 @@ class JobQueue:
             (at > after[0]) | ((at == after[0]) & (c.workflow_uuid > after[1])),
             at >= after[0],  # for the index
         )
-        rows = self._rows(query.order_by(at, c.workflow_uuid).limit(limit))
+        return self._finished(query.order_by(at, c.workflow_uuid).limit(limit))
+
+    def finished_unless_in(self, jobs: sa.Column[str], limit: int) -> list[tuple[str, str, int]]:
+        """Finished jobs whose ids another table has not in this column: as of `finished`."""
+        c = self._table.c
+        query = self._select(c.workflow_uuid, c.authenticated_user, c.completed_at).where(
+            c.completed_at > 0, ~sa.exists().where(jobs == c.workflow_uuid)
+        )
+        return self._finished(query.limit(limit))
+
+    def _finished(self, query: sa.Select[Any]) -> list[tuple[str, str, int]]:
+        rows = self._rows(query)
         return [(job, "" if owner == NOBODY else owner, int(at)) for job, owner, at in rows]
 
     def failed(self, after: tuple[int, str], limit: int) -> list[tuple[str, int, str]]:

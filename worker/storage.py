@@ -26,6 +26,9 @@ from morph_engine.files import replacing, sync_directory, wait_for
 PROBE_BYTES = 1 << 17
 
 DISCARD = "discard-"
+
+REMOVALS = 10
+"""How often a folder is removed that somebody still writes into."""
 """How a file begins that marks the rest of its folder to be deleted."""
 
 
@@ -280,10 +283,12 @@ class Storage:
             wait_seconds: How long to wait for an engine that is just ending [s].
         """
         folder = self.job_dir(job_id)
-        marks = [*folder.glob(f"{DISCARD}*")]
-        if not marks:
+        if not any(folder.glob(f"{DISCARD}*")):
             return
         with suppress(TimeoutError), wait_for(folder / "lock", wait_seconds):
+            marks = [*folder.glob(f"{DISCARD}*")]
+            if not marks:  # a worker has begun meanwhile
+                return
             for path in folder.iterdir():
                 if path.name == "lock" or path in marks:
                     continue
@@ -295,8 +300,12 @@ class Storage:
                 mark.unlink(missing_ok=True)
 
     def remove_job(self, job_id: str) -> None:
-        """Delete what a job left, if anything."""
-        shutil.rmtree(self.job_dir(job_id), ignore_errors=True)
+        """Delete what a job left, if anything; an engine that is just ending may still write."""
+        folder = self.job_dir(job_id)
+        for _ in range(REMOVALS):
+            shutil.rmtree(folder, ignore_errors=True)
+            if not folder.exists():
+                return
 
     def _mesh_folder(self, sha256: str) -> Path:
         return self.root / "meshes" / sha256

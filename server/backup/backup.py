@@ -69,7 +69,8 @@ def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
         MorphError: The database cannot be dumped.
         OSError: A file cannot be read, or the disk refuses.
     """
-    if folder.is_dir() and set(_names(folder)) - {RECORD, DATABASE, *FOLDERS}:
+    unfinished = f"{DATABASE}.tmp", f"{RECORD}.tmp"  # where a backup was killed
+    if folder.is_dir() and set(_names(folder)) - {RECORD, DATABASE, *unfinished, *FOLDERS}:
         raise ConfigError(f"{folder} has files of another kind.", "Name a new or empty folder.")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     (folder / RECORD).unlink(missing_ok=True)

@@ -13,6 +13,7 @@ from chamfer_morph.server.database.callers import SCOPE_ORDER, Caller, secret_di
 from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.database.tables import KeyRow, as_time, insert, now
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
+from morph_engine.errors import ConfigError
 
 PREFIX = "morph_"
 
@@ -48,20 +49,41 @@ class ApiKeyStore:
         return (_key(row), secret) if insert(self._engine, row) else None
 
     def put(self, name: str, scope: Scope, secret: str) -> None:
-        """Have a key of this name with this secret; harmless to repeat, and from two processes."""
-        row = KeyRow(name, secret_digest(secret), scope, now())
-        if insert(self._engine, row):
+        """Have a key of this name with this secret; harmless to repeat, and from two processes.
+
+        Raises:
+            ConfigError: Another key has this secret.
+        """
+        digest = secret_digest(secret)
+        if insert(self._engine, KeyRow(name, digest, scope, now())):
             return
-        changed = {"digest": secret_digest(secret), "scopes": scope}
+        others = sa.select(KeyRow.name).where(KeyRow.digest == digest, KeyRow.name != name)
         with self._engine.begin() as connection:
+            if other := connection.execute(others).scalar():
+                raise ConfigError(
+                    f"The secret of the key {name!r} is that of the key {other!r} already.",
+                    f"Choose another secret, or revoke {other!r}.",
+                )
+            changed = {"digest": digest, "scopes": scope}
             connection.execute(sa.update(KeyRow).where(KeyRow.name == name).values(changed))
+
+    def has(self, name: str) -> bool:
+        """Whether there is a key of this name at this moment."""
+        with self._engine.connect() as connection:
+            found = connection.execute(sa.select(KeyRow.name).where(KeyRow.name == name))
+            return found.first() is not None
 
     def remove(self, name: str) -> bool:
         """Revoke a key with its webhooks and share links; False if there is none of that name."""
+        self._remove_made_by(name)
+        with self._engine.begin() as connection:
+            found = connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount
+        self._remove_made_by(name)  # what came between; what comes later finds no key
+        return bool(found)
+
+    def _remove_made_by(self, name: str) -> None:
         Webhooks(self._engine).remove_of(name)
         ShareLinkStore(self._engine).remove_of(name)
-        with self._engine.begin() as connection:
-            return bool(connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount)
 
     def _rows(self) -> list[KeyRow]:
         with Session(self._engine) as session:

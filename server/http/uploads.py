@@ -13,7 +13,7 @@ from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Callab
 from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import anyio
 from starlette.datastructures import FormData, UploadFile
@@ -145,9 +145,16 @@ class _FormParser(MultiPartParser):
 
 
 async def enter_in_thread(stack: AsyncExitStack, manager: AbstractContextManager[Value]) -> Value:
-    """Enter a context whose beginning blocks, until the end of the stack."""
+    """Enter a context whose beginning and end block, until the end of the stack."""
+
+    async def leave(*error: Any) -> bool | None:
+        suppressed = None
+        with anyio.CancelScope(shield=True):
+            suppressed = await anyio.to_thread.run_sync(manager.__exit__, *error)
+        return suppressed
+
     value = await anyio.to_thread.run_sync(manager.__enter__)
-    stack.push(manager.__exit__)
+    stack.push_async_exit(leave)
     return value
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AsyncExitStack, nullcontext, suppress
+from contextlib import AsyncExitStack, suppress
 from typing import Annotated, Any
 
 import anyio
@@ -35,7 +35,14 @@ from chamfer_morph.server.routes.job_lookup import (
 )
 from chamfer_morph.server.routes.job_view import to_job, to_json
 from chamfer_morph.server.routes.meshes import store_uploads
-from chamfer_morph.server.submission import check_meshes, idempotent_id, prepare, submit
+from chamfer_morph.server.submission import (
+    check_meshes,
+    idempotency_conflict,
+    idempotent_id,
+    prepare,
+    request_digest,
+    submit,
+)
 from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
 
@@ -288,11 +295,13 @@ def accept(response: Response, path: str, *, new: bool) -> None:
 def _submit(
     body: JobRequest, key: str | None, caller: Caller, context: ServerContext
 ) -> tuple[Job, bool]:
-    submission = prepare(body, caller, context)
     job_id = idempotent_id("job", caller, key) if key else new_id()
-    known = bool(key) and context.queue.get(job_id) is not None
-    letting_in = context.quotas.letting_in_jobs(caller.name, needed_bytes=submission.disk_bytes)
-    with nullcontext() if known else letting_in:
+    if key and (known := context.queue.get(job_id)):  # whose meshes may have been deleted since
+        if known.attributes.get("body") != request_digest(body):
+            raise idempotency_conflict()
+        return to_job(known, context), False
+    submission = prepare(body, caller, context)
+    with context.quotas.letting_in_jobs(caller.name, needed_bytes=submission.disk_bytes):
         record, new = submit(submission, job_id=job_id, caller=caller, context=context)
     return to_job(record, context), new
 

@@ -199,7 +199,7 @@ async def store_uploads(
     for upload in uploads:
         mesh_suffix(upload.name)  # refuses what has none
         report = None
-        if await anyio.to_thread.run_sync(context.storage.mesh_file, upload.sha256) is None:
+        if not await anyio.to_thread.run_sync(_is_stored, upload.sha256, context):
             inspect = partial(context.sandbox.inspect_mesh, upload.path, upload.name)
             report = await context.inspections.get((upload.path,), inspect, request, caller.name)
         reports.append(report)
@@ -267,13 +267,19 @@ def _store(
         if report is not None:
             suffix = mesh_suffix(upload.name)
             context.storage.add_mesh(upload.path, upload.sha256, suffix, report)
-        elif context.storage.mesh_file(upload.sha256) is None:  # it was there when it was looked at
+        elif not _is_stored(upload.sha256, context):  # it was when it was looked at
             raise _deleted_meanwhile()
         new = context.meshes.add(caller.name, upload.sha256, upload.name, upload.size_bytes)
     row = context.meshes.get(caller.name, upload.sha256)
     if row is None:
         raise _deleted_meanwhile()
     return row, new
+
+
+def _is_stored(sha256: str, context: ServerContext) -> bool:
+    """Whether somebody has a mesh; a host may still have a copy of one that was deleted."""
+    known = context.meshes.get(None, sha256) is not None
+    return known and context.storage.mesh_file(sha256) is not None
 
 
 def _deleted_meanwhile() -> ProblemError:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from chamfer_morph.schemas import NewShareLink, ShareLink
-from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
+from chamfer_morph.schemas.ids import is_id
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter, key_revoked
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.database.callers import SharedJob
 from chamfer_morph.server.http.problems import not_found
@@ -36,6 +37,9 @@ def make_share_link(
         job.id, lambda: len(context.share_links.of_job(shared))
     ):
         link, secret = context.share_links.add(shared, caller.name)
+        if context.is_revoked(caller):
+            context.share_links.remove(shared, link.id)
+            raise key_revoked()
     response.headers["Location"] = f"/v1/jobs/{job.id}/share-links/{link.id}"
     # what is after the # stays in the browser: no log and no proxy sees the secret
     path = f"/shared/{job.id}#{secret}"
@@ -47,5 +51,5 @@ def make_share_link(
 )
 def revoke_share_link(caller: Submitter, job: VisibleJob, link_id: str, context: Context) -> None:
     """From now on the link shows nothing."""
-    if not context.share_links.remove(SharedJob.of(job), link_id):
+    if not is_id(link_id) or not context.share_links.remove(SharedJob.of(job), link_id):
         raise not_found("share link", link_id)

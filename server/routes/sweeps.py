@@ -108,10 +108,14 @@ def _submit(
         raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
     digest = request_digest(request)
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
-    new = context.sweeps.get(sweep_id) is None
+    known = context.sweeps.get(sweep_id)
+    if known and known.body != digest:
+        raise idempotency_conflict()
+    ids = [idempotent_id(f"job {index}", caller, sweep_id) for index in range(count)]
+    there = context.queue.states(ids)  # jobs may have been deleted since
     common = request.model_dump(include=JobOptions.model_fields.keys() - {"overrides"})
-    submissions = [
-        prepare(
+    missing = {
+        job_id: prepare(
             JobRequest(
                 source=source,
                 target=target,
@@ -123,24 +127,19 @@ def _submit(
             caller,
             context,
         )
-        for source, target, method, seed in product(*axes)
-    ]
-    jobs = {
-        idempotent_id(f"job {index}", caller, sweep_id): submission
-        for index, submission in enumerate(submissions)
+        for job_id, (source, target, method, seed) in zip(ids, product(*axes), strict=True)
+        if job_id not in there
     }
-    missing = jobs.keys() - context.queue.states(jobs)  # jobs may have been deleted since
-    needed = sum(jobs[job_id].disk_bytes for job_id in missing)
+    needed = sum(submission.disk_bytes for submission in missing.values())
     letting_in = context.quotas.letting_in_jobs(caller.name, len(missing), needed_bytes=needed)
     with letting_in as queued:
         stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
         if stored.body != digest:
             raise idempotency_conflict()
-        for job_id, submission in jobs.items():
-            if job_id in missing:
-                submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
-                queued()
-    return _show(stored, context), new
+        for job_id, submission in missing.items():
+            submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
+            queued()
+    return _show(stored, context), known is None
 
 
 def _show(stored: StoredSweep, context: ServerContext) -> Sweep:

@@ -11,7 +11,7 @@ from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import Delivery, DeliveryPage, NewWebhook, Webhook, WebhookRequest
 from chamfer_morph.schemas.ids import is_id
-from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter
+from chamfer_morph.server.auth import AuthenticatedRoute, Reader, Submitter, key_revoked
 from chamfer_morph.server.context import Context
 from chamfer_morph.server.http import cursors
 from chamfer_morph.server.http.problems import not_found
@@ -70,6 +70,9 @@ def make_webhook(
         caller.name, lambda: context.webhooks.count(caller.name)
     ):
         webhook = context.webhooks.add(caller.name, body.url, body.states, secret)
+        if context.is_revoked(caller):
+            context.webhooks.remove(webhook.id)
+            raise key_revoked()
     response.headers["Location"] = f"/v1/webhooks/{webhook.id}"
     return NewWebhook(**webhook.model_dump(), secret=secret)
 
@@ -96,7 +99,10 @@ def try_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context) ->
     with context.quotas.letting_in_test(
         webhook.id, lambda: context.webhooks.pending_tests(webhook.id)
     ):
-        return context.webhooks.add_test(webhook.id)
+        test = context.webhooks.add_test(webhook.id)
+    if test is None:
+        raise not_found("webhook", webhook.id)
+    return test
 
 
 @router.get(

@@ -92,6 +92,22 @@ def test_a_job_that_was_put_first_is_first_again(
     assert order(queue, *jobs) == [1, 2, 0]
 
 
+def test_a_pause_and_its_end_at_once_leave_no_job_behind(
+    queue: JobQueue, submit: Callable[..., str]
+) -> None:
+    """All jobs wait where the last of them has put them."""
+    jobs = [submit(100) for _ in range(5)]
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(20):
+            calls = [queue.pause, queue.unpause] * 4
+            for call in [pool.submit(call, "ann") for call in calls]:
+                call.result()
+            paused = {job.paused for job in queue.newest()}
+            assert paused == {queue.is_paused("ann")}
+    queue.unpause("ann")
+    assert None not in order(queue, *jobs)
+
+
 def test_what_is_not_queued_cannot_be_put_first(
     queue: JobQueue, submit: Callable[..., str]
 ) -> None:

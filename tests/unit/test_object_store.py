@@ -333,6 +333,7 @@ def test_discarded_job(host: Callable[[str], JobMirror], bucket: Bucket) -> None
     write(worker, {"result": "late"})
     with pytest.raises(OwnershipLostError):
         worker.publish()
+    assert bucket.keys("jobs/job/") == []
     other.claim(0)
     write(other, {"events.jsonl": "anew\n"})
     other.publish()

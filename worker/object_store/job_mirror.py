@@ -229,6 +229,7 @@ class JobMirror:
             try:
                 self._replace(state.etag, manifest, copies)
             except ObjectChangedError:
+                self._delete_unnamed()
                 raise OwnershipLostError(self._prefix) from None
             self._loose |= state.manifest.keys
         self._delete_loose(manifest)
@@ -255,6 +256,18 @@ class JobMirror:
         self._bucket.delete(f"{self._files}{key}" for key in self._loose - manifest.keys)
         self._loose.clear()
         self._sent.clear()
+
+    def _delete_unnamed(self) -> None:
+        """Delete what was sent in vain: no manifest to come can name what the present one does not.
+
+        Raises:
+            StoreUnavailableError: The store does not answer.
+        """
+        try:
+            present = Manifest.model_validate_json(self._bucket.get(self._manifest_key))
+        except FileNotFoundError:  # the job has been deleted
+            present = Manifest()
+        self._delete_loose(present)
 
     def _replace(self, etag: str | None, manifest: Manifest, copies: dict[str, _Copy]) -> None:
         """Replace the manifest that has this ETag.

@@ -7,6 +7,7 @@ measured where they are asked for.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import sqlalchemy as sa
@@ -17,10 +18,6 @@ from chamfer_morph.worker.tables import create_missing
 
 PAGE = 1000
 """Jobs measured at once."""
-
-OVERLAP_MILLISECONDS = 60_000
-"""Jobs that have finished so long before the last measured one are looked for again: their rows may
-come late, and clocks differ."""
 
 _TABLE = sa.Table(
     "morph_job_sizes",
@@ -51,10 +48,8 @@ class JobSizes:
         create_missing(engine, _TABLE)
 
     def measure_finished(self) -> None:
-        """Measure the jobs that have finished since the last time, page by page."""
-        newest = self._newest()
-        after = newest - OVERLAP_MILLISECONDS, ""
-        while page := self._queue.finished(after, PAGE):
+        """Measure the finished jobs that are not in the table, page by page."""
+        while page := self._queue.finished_unless_in(_TABLE.c.job, PAGE):
             sizes = [(*job, self._storage.job_bytes(job[0])) for job in page]
             with self._engine.begin() as connection:
                 ids = [job for job, *_ in sizes]
@@ -64,8 +59,6 @@ class JobSizes:
                     for job, owner, at, size in sizes
                 ]
                 connection.execute(sa.insert(_TABLE), rows)
-            job, _, at = page[-1]
-            after = at, job
 
     def measure(self, job: str) -> None:
         """Measure a job again whose files have changed, if it is in the table."""
@@ -80,9 +73,15 @@ class JobSizes:
 
     def of(self, owner: str) -> int:
         """Disk that the jobs of an owner fill [bytes]."""
-        return self._sum(_TABLE.c.owner == owner) + sum(
-            map(self._storage.job_bytes, self._queue.unmeasured(owner, self._newest()))
+        now = round(time.time() * 1000)
+        after = self._newest(_TABLE.c.finished_at <= now)  # by a clock that is not ahead
+        measured = sa.select(_TABLE.c.job).where(
+            _TABLE.c.owner == owner, _TABLE.c.finished_at > after
         )
+        with self._engine.connect() as connection:
+            known = {job for (job,) in connection.execute(measured)}
+        left = set(self._queue.unmeasured(owner, after)) - known
+        return self._sum(_TABLE.c.owner == owner) + sum(map(self._storage.job_bytes, left))
 
     def total(self) -> int:
         """Disk that all measured jobs fill [bytes]."""
@@ -103,8 +102,9 @@ class JobSizes:
         with self._engine.connect() as connection:
             return int(connection.execute(query).scalar_one())
 
-    def _newest(self) -> int:
+    def _newest(self, *conditions: sa.ColumnElement[bool]) -> int:
         """When the job finished that was measured last [ms since 1970]."""
-        query = sa.select(sa.func.coalesce(sa.func.max(_TABLE.c.finished_at), 0))
+        last = sa.func.coalesce(sa.func.max(_TABLE.c.finished_at), 0)
+        query = sa.select(last).where(*conditions)
         with self._engine.connect() as connection:
             return int(connection.execute(query).scalar_one())

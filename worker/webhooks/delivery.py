@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import random
 import ssl
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
 from importlib import metadata
 
@@ -58,6 +60,8 @@ def _run(settings: Settings) -> None:
 
 async def deliver_forever(settings: Settings) -> None:
     """Send messages as they come due."""
+    # names that are never found take a thread each, and others are not to wait for them
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(AT_ONCE))
     webhooks = Webhooks(database(settings, kept=1))
     busy: set[str] = set()
     ended = anyio.Event()
@@ -74,6 +78,7 @@ async def deliver_forever(settings: Settings) -> None:
 
     async with (
         httpcore.AsyncConnectionPool(
+            max_connections=AT_ONCE,
             ssl_context=ssl.create_default_context(),
             max_keepalive_connections=0,
             network_backend=CheckedNetwork(settings.allowed_webhook_networks),

@@ -18,6 +18,9 @@ import httpx
 from chamfer_morph.worker.settings import Network
 from morph_engine.errors import ConfigError
 
+NOT_PUBLIC = (ipaddress.ip_network("192.0.0.0/24"), ipaddress.ip_network("fec0::/10"))
+"""What some versions of Python take for public: protocol assignments, and old site-local."""
+
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
@@ -33,9 +36,10 @@ def parse_url(url: str) -> httpx.URL:
     """
     try:
         parsed = httpx.URL(url)
-    except httpx.InvalidURL as error:
+        host = parsed.host
+    except (httpx.InvalidURL, UnicodeError) as error:
         raise ConfigError(f"The URL cannot be read ({error}).", "Check it.") from None
-    if parsed.scheme not in ("http", "https") or not parsed.host:
+    if parsed.scheme not in ("http", "https") or not host:
         raise ConfigError(
             "The URL of a webhook begins with https:// or http:// and a host.", "Check it."
         )
@@ -93,6 +97,8 @@ def _may_be_reached(address: Address, allowed: Sequence[Network]) -> bool:
             return False
     if any(address in network for network in allowed if network.version == address.version):
         return True
+    if any(address in network for network in NOT_PUBLIC if network.version == address.version):
+        return False
     return address.is_global and not address.is_multicast and not address.is_reserved
 
 

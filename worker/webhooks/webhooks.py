@@ -148,8 +148,8 @@ class Webhooks:
         for webhook in self.all(owner):
             self.remove(webhook.id)
 
-    def add_test(self, webhook_id: str) -> Delivery:
-        """A message of the type `test`, to be sent at once."""
+    def add_test(self, webhook_id: str) -> Delivery | None:
+        """A message of the type `test`, to be sent at once; None if there is no such webhook."""
         now = _now()
         row = {
             "id": uuid.uuid4().hex,
@@ -158,8 +158,14 @@ class Webhooks:
             "created_at": now,
             "due_at": now,
         }
+        # with the webhook, which may be deleted at this moment
+        values = sa.select(*map(sa.literal, row.values())).where(
+            sa.exists().where(_WEBHOOKS.c.id == webhook_id)
+        )
+        insert = sa.insert(_MESSAGES).from_select([*row], values).returning(_MESSAGES.c.id)
         with self._engine.begin() as connection:
-            connection.execute(sa.insert(_MESSAGES).values(row))
+            if connection.execute(insert).first() is None:
+                return None
         return _delivery(row | {"job": None, "delivered": False, "attempts": "[]"})
 
     def pending_tests(self, webhook_id: str) -> int:
@@ -198,6 +204,7 @@ class Webhooks:
         c = _MESSAGES.c
         first = (
             sa.select(c.webhook, sa.func.min(c.due_at).label("due_at"))
+            .join(_WEBHOOKS, _WEBHOOKS.c.id == c.webhook)
             .where(c.due_at <= _now(), c.webhook.not_in(list(busy)))
             .group_by(c.webhook)
             .order_by("due_at")
@@ -243,11 +250,15 @@ class Webhooks:
             connection.execute(sa.update(_MESSAGES).where(c.id == message.id).values(values))
 
     def forget_old(self) -> None:
-        """Forget messages that were delivered or given up long ago."""
+        """Forget messages that were delivered or given up long ago, and those to no webhook.
+
+        A job that changes its state while a webhook is deleted may leave such a message.
+        """
         c = _MESSAGES.c
         old = c.created_at < _now() - KEPT_DAYS * DAY_MS
+        lost = ~sa.exists().where(_WEBHOOKS.c.id == c.webhook)
         with self._engine.begin() as connection:
-            connection.execute(sa.delete(_MESSAGES).where(c.due_at.is_(None), old))
+            connection.execute(sa.delete(_MESSAGES).where(c.due_at.is_(None) & old | lost))
 
 
 def _webhook(row: Any) -> Webhook:

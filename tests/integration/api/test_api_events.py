@@ -59,6 +59,24 @@ def test_a_stream_tells_everything_and_ends(either: Api, monkeypatch: pytest.Mon
         assert next(events, None) is None
 
 
+def test_a_log_that_cannot_be_read_keeps_no_other_from_being_told(api: Api) -> None:
+    """Such as a folder in its place."""
+    broken, job = (api.submit()["id"] for _ in range(2))
+    _log(api, job, "attempt")
+    with ExitStack() as stack:
+        streams = [
+            stack.enter_context(api.http.stream("GET", f"/v1/jobs/{id}/events", headers=STREAM))
+            for id in (broken, job)
+        ]
+        events = _events(streams[1].iter_lines())
+        assert [next(events)["type"] for _ in range(2)] == ["attempt", "state"]
+        api.context.storage.events(broken).path.mkdir(parents=True)
+        _log(api, job, "frame")
+        assert next(events)["type"] == "frame"
+        _log(api, job, "frame")
+        assert next(events)["type"] == "frame"
+
+
 def test_a_stream_resumes_behind_the_last_event(api: Api) -> None:
     """Last-Event-ID, `after` and polling skip the same events."""
     job = api.submit()["id"]

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,6 +114,29 @@ def test_a_repeated_submit_is_one_job(either: Api) -> None:
     assert [first.status_code, again.status_code, other.status_code] == [202, 200, 422]
     assert first.json()["id"] == again.json()["id"]
     assert len(either.http.get("/v1/jobs?limit=100").json()["items"]) == 1
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs", "/v1/sweeps"])
+def test_a_submit_is_repeated_after_its_mesh_has_gone(either: Api, cube: bytes, path: str) -> None:
+    """Whoever has lost the answer finds what was made, although it could not be made now."""
+    mesh = either.http.post("/v1/meshes?name=cube.obj", content=cube).json()["id"]
+    shape, star = {"mesh": mesh}, {"shape": "star"}
+    body: dict[str, Any] = {"overrides": COARSE, "frames": 3}
+    body |= (
+        {"sources": [shape], "targets": [star], "methods": ["joint"]}
+        if path == "/v1/sweeps"
+        else {"source": shape, "target": star}
+    )
+    headers = {"Idempotency-Key": "lost"}
+    first = either.http.post(path, json=body, headers=headers)
+    assert first.status_code == 202, first.text
+    for job in either.http.get("/v1/jobs").json()["items"]:
+        assert either.http.post(f"/v1/jobs/{job['id']}/cancel").status_code == 202
+    assert either.http.delete(f"/v1/meshes/{mesh}").status_code == 204
+    again = either.http.post(path, json=body, headers=headers)
+    assert again.status_code == 200 and again.json()["id"] == first.json()["id"]
+    other = either.http.post(path, json=body | {"frames": 4}, headers=headers)
+    assert other.status_code == 422 and "Idempotency-Key" in other.json()["detail"]
 
 
 def test_jobs_are_listed_by_state_method_and_page(either: Api) -> None:

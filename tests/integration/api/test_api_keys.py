@@ -220,6 +220,10 @@ def test_a_key_from_the_environment_or_a_file(tmp_path: Path) -> None:
     for refused in ({"MORPH_ADMIN_KEY": "short"}, {"MORPH_ADMIN_KEY_FILE": f"{tmp_path}/none"}):
         assert check(**refused).returncode == 2
     assert store.callers().keys() == {secret_digest("b" * 32)}
+    made = store.add("ann", ["admin"])
+    assert made
+    taken = check(MORPH_ADMIN_KEY=made[1])
+    assert taken.returncode == 2 and "'ann'" in taken.stderr
 
 
 def test_strangers_are_refused_before_their_body_is_read(make_api: Callable[..., Api]) -> None:

@@ -221,6 +221,29 @@ def test_disk_is_summed_up(either: Api, run: RunRecord) -> None:
     assert [job for job, _ in sizes.oldest(9)] == [jobs[0], later]
 
 
+@pytest.mark.parametrize("hours", [-30, 30])
+def test_jobs_of_a_host_with_a_wrong_clock_count(either: Api, run: RunRecord, hours: int) -> None:
+    """Whether it is ahead or behind, they count, and so do those that finish after them."""
+    sizes, storage = either.context.job_sizes, either.context.storage
+    wrong = [either.finished(run) for _ in range(2)]
+    sizes.measure_finished()
+    workflows = either.context.queue._workflows
+    table = workflows.table
+    wrong.append(either.finished(run))
+    with workflows.begin() as connection:
+        connection.execute(
+            sa.update(table)
+            .where(table.c.workflow_uuid == wrong[-1])
+            .values(completed_at=table.c.completed_at + hours * 3_600_000)
+        )
+    sizes.measure_finished()
+    jobs = [*wrong, either.finished(run)]
+    expected = sum(map(storage.job_bytes, jobs))
+    assert sizes.of("") == expected
+    sizes.measure_finished()
+    assert sizes.of("") == sizes.total() == expected
+
+
 def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
     """As many as it takes, and none that has not finished."""
     sizes, storage, queue = either.context.job_sizes, either.context.storage, either.context.queue

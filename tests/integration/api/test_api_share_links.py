@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,32 @@ def test_links_go_with_the_job_and_with_the_key(api: Api, run: RunRecord) -> Non
         assert connection.execute(sa.select(ShareLinkRow)).all() == []
 
 
+def test_a_revoked_key_leaves_nothing_that_it_makes_at_that_moment(
+    api: Api, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An API that has not heard of it yet makes no link and no webhook that would outlive it."""
+    root = api.http.post("/v1/keys", json={"name": "root", "scopes": ["admin"]}).json()["secret"]
+    ann = api.http.post("/v1/keys", json={"name": "ann"}, headers=_headers(root)).json()["secret"]
+    job = api.http.post("/v1/jobs", json=MORPH, headers=_headers(ann)).headers["Location"]
+    for store, path, body in (
+        (api.context.share_links, f"{job}/share-links", None),
+        (api.context.webhooks, "/v1/webhooks", {"url": "https://8.8.8.8/"}),
+    ):
+        add = store.add
+
+        def add_late(*arguments: Any, add: Callable[..., Any] = add) -> Any:
+            api.context.api_keys.remove("ann")
+            return add(*arguments)
+
+        monkeypatch.setattr(store, "add", add_late)
+        answer = api.http.post(path, json=body, headers=_headers(ann))
+        assert answer.status_code == 401 and "revoked" in answer.json()["detail"]
+        monkeypatch.undo()
+        api.context.api_keys.put("ann", "submit", ann)
+    assert api.http.get(f"{job}/share-links", headers=_headers(root)).json() == []
+    assert api.http.get("/v1/webhooks", headers=_headers(root)).json() == []
+
+
 def test_a_link_shows_no_later_job_of_the_same_id(api: Api) -> None:
     """What was removed without the API and submitted again is another job."""
     again = {"Idempotency-Key": "mine"}
@@ -91,6 +118,13 @@ def test_a_link_shows_no_later_job_of_the_same_id(api: Api) -> None:
     assert api.http.post("/v1/jobs", json=MORPH, headers=again).json()["id"] == job
     assert api.http.get(f"/v1/jobs/{job}", headers=_headers(link)).status_code == 404
     assert api.http.get(f"/v1/jobs/{job}/share-links").json() == []
+
+
+def test_a_link_whose_id_is_none(either: Api) -> None:
+    """Postgres takes no character 0."""
+    job = f"/v1/jobs/{either.submit()['id']}"
+    for link in ("%00", "0" * 26, "none"):
+        assert either.http.delete(f"{job}/share-links/{link}").status_code == 404
 
 
 def test_a_job_has_so_many_links(api: Api) -> None:

@@ -19,6 +19,7 @@ import httpx
 import psutil
 import pytest
 
+from chamfer_morph.server.database.reservations import Reservation
 from chamfer_morph.worker.retention.abandoned_uploads import ABANDONED_SECONDS
 from chamfer_morph.worker.storage import Storage
 from tests.integration.api.conftest import COARSE, MORPH, Api
@@ -106,6 +107,45 @@ def test_a_mesh_that_another_key_uploads_stays(
     assert deleted.result(PATIENCE).status_code == 204
     assert either.http.get(f"{path}/file", headers=bob).content == cube
     assert either.http.get(path, headers=ann).status_code == 404
+
+
+def test_a_file_that_is_nobodys_mesh_is_looked_at_anew(either: Api, cube: bytes) -> None:
+    """As after a host has deleted a mesh of which another one, with an object store, has a copy."""
+    upload = {"url": "/v1/meshes?name=cube.obj", "content": cube}
+    mesh = either.http.post(**upload).json()
+    either.context.meshes.remove(None, mesh["id"])
+    stored = either.context.storage.mesh_file(mesh["id"])
+    assert stored is not None
+    stored.write_bytes(b"a copy that is not what was sent")
+    assert either.http.post(**upload).status_code == 201
+    assert either.http.get(f"/v1/meshes/{mesh['id']}/file").content == cube
+
+
+def test_an_upload_that_ends_stops_no_other_request(
+    api: Api, cube: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long the database takes to note that."""
+    ending, ended = threading.Event(), threading.Event()
+    release = Reservation.release
+
+    def slowly(reservation: Reservation) -> None:
+        ending.set()
+        ended.wait(PATIENCE)
+        release(reservation)
+
+    monkeypatch.setattr(Reservation, "release", slowly)
+    answers: list[int] = []
+    upload = {"url": "/v1/meshes?name=cube.obj", "content": cube}
+    thread = threading.Thread(target=lambda: answers.append(api.http.post(**upload).status_code))
+    thread.start()
+    try:
+        assert ending.wait(PATIENCE)
+        assert httpx.get(f"{api.http.base_url}/livez", timeout=PATIENCE).status_code == 200
+        assert not answers
+    finally:
+        ended.set()
+        thread.join(PATIENCE)
+    assert answers == [201]
 
 
 def test_an_archive_is_a_mesh(api: Api, cube: bytes) -> None:

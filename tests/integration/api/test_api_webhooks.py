@@ -53,6 +53,9 @@ def test_whose_they_are(either: Api) -> None:
         ({"url": "http://localhost:8000/"}, "no public address"),
         ({"url": "http://169.254.169.254/latest"}, "no public address"),
         ({"url": "http://[::ffff:10.0.0.1]/"}, "no public address"),
+        ({"url": "http://[fec0::1]/"}, "no public address"),
+        ({"url": "http://192.0.0.192/"}, "no public address"),
+        ({"url": "http://xn--a/"}, "cannot be read"),
         ({"url": "gopher://8.8.8.8/"}, "http"),
         ({"url": "http://ann:word@8.8.8.8/"}, "password"),
         ({"states": ["done"]}, "states"),
@@ -79,6 +82,24 @@ def test_so_many_tests_wait(either: Api) -> None:
     given_up = DeliveryAttempt(at=due.created_at, seconds=1, status=500, problem="busy")
     either.context.webhooks.record(due, given_up, None)
     assert [either.http.post(f"{path}/test").status_code for _ in range(2)] == [202, 429]
+
+
+def test_messages_to_no_webhook_hold_up_no_other(either: Api) -> None:
+    """A job that changes its state while its owner deletes a webhook may leave such messages."""
+    webhooks = either.context.webhooks
+    gone = [webhooks.add("ann", URL, [], "secret") for _ in range(3)]
+    for webhook in gone:
+        assert webhooks.add_test(webhook.id)
+    with either.context.engine.begin() as connection:
+        connection.execute(sa.text("delete from morph_webhooks"))
+    assert webhooks.add_test(gone[0].id) is None
+    there = webhooks.add("bob", URL, [], "secret")
+    assert webhooks.add_test(there.id)
+    assert [message.webhook for message in webhooks.due((), 2)] == [there.id]
+    webhooks.forget_old()
+    count = sa.text("select count(*) from morph_webhook_messages")
+    with either.context.engine.connect() as connection:
+        assert connection.execute(count).scalar_one() == 1
 
 
 def test_a_damaged_row_hides_no_other(either: Api) -> None:
