@@ -94,7 +94,7 @@ image:  ## the container image `morph` on Debian's BASE, by docker or podman; IM
 	$(CONTAINER_ENGINE) build --build-arg BASE=$(BASE) $(if $(findstring podman,$(CONTAINER_ENGINE)),--format docker) $(IMAGE_OPTIONS) \
 	  --tag morph --file docker/Dockerfile .
 
-test-image: install image  ## a job, MP4 and USD in the image, as no root, on a read-only root
+test-image: install image  ## a job, MP4 and USD in the image, as a non-root user, on a read-only root
 	$(BIN)/python -m pytest -m image
 
 lint: install  ## style, types and import contracts
