@@ -36,8 +36,8 @@ def write(selection: Selection, path: Path) -> None:
     frames = sorted(set(selection.frames))
     if len(set(np.diff(frames))) > 1:
         raise ConfigError(
-            "A point cache has samples at even distances, and these frames are not.",
-            "Ask for all frames, or for a range such as 0-20.",
+            "A point cache needs evenly spaced frames, and these are not.",
+            "Request all frames, or a range such as 0-20.",
         )
     surface = track_surface(selection)
     with zipfile.ZipFile(path, "w") as archive:
