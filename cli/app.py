@@ -67,8 +67,8 @@ app: typer.Typer = typer.Typer(
     name="morph",
     cls=LazyGroup,
     help="Morph one 3D shape into another by differentiable physics.",
-    epilog="Exit status: 0 success, 1 a job that failed or a fault of the program (--debug shows "
-    "the traceback), 2 bad input, 3 no answer from the service, 130 Ctrl-C.",
+    epilog="Exit status: 0 success, 1 failed job or internal error (--debug shows the traceback), "
+    "2 invalid input, 3 no answer from the service, 130 interrupted by Ctrl-C.",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

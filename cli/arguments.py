@@ -27,7 +27,8 @@ def parse_frames(text: str | None) -> list[int] | None:
         found = re.fullmatch(r"\s*(-?\d+)(?:-(\d+))?\s*", part)
         if not found or (found[2] and not 0 <= int(found[1]) <= int(found[2])):
             raise ConfigError(
-                f"{text!r} names no frames.", "Write them as in 0,5,10-20, or -1 for the last."
+                f"{text!r} is not a list of frames.",
+                "Use a list such as 0,5,10-20; -1 is the last frame.",
             )
         first = int(found[1])
         frames += range(first, int(found[2] or first) + 1)
@@ -42,7 +43,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     found = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text.lower())
     if not found:
-        raise ConfigError(f"{text!r} is no size.", "Write it as in 960x720.")
+        raise ConfigError(f"{text!r} is not a size.", "Use WIDTHxHEIGHT, such as 960x720.")
     return int(found[1]), int(found[2])
 
 
@@ -62,9 +63,9 @@ def parse_camera_keys(texts: Iterable[str]) -> tuple[CameraKey, ...]:
             keys.append(CameraKey(float(share), View(azimuth, elevation, *zoom)))
         except (TypeError, ValueError):
             raise ConfigError(
-                f"{text!r} is no camera key.",
-                "Write share of the film, azimuth and elevation in degrees, and perhaps a zoom: "
-                "0.5:90,30,1.5.",
+                f"{text!r} is not a camera key.",
+                "Give the time as a share of the video, azimuth and elevation in degrees, and "
+                "optionally a zoom: 0.5:90,30,1.5.",
             ) from None
     return tuple(keys)
 
@@ -80,7 +81,7 @@ def parse_settings(settings: Iterable[str]) -> dict[str, str]:
         path, separator, value = setting.partition("=")
         if not separator:
             raise ConfigError(
-                f"--set {setting} names no value.", "Write it as in --set chamfer.weight=5."
+                f"--set {setting} has no value.", "Use PATH=VALUE, as in --set chamfer.weight=5."
             )
         found[path] = value
     return found
@@ -98,8 +99,8 @@ def read_landmarks(pairs: Iterable[str], file: Path | None) -> list[dict[str, An
             content = json.loads(file.read_text())
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"{file} holds no landmarks: {error}.",
-                'Write it as in [{"source": [0, 1, 2], "target": [3, 4, 5]}].',
+                f"{file} is not a file of landmarks: {error}.",
+                'Use the form [{"source": [0, 1, 2], "target": [3, 4, 5]}].',
             ) from None
         found += content if isinstance(content, list) else [content]
     for pair in pairs:
@@ -107,7 +108,7 @@ def read_landmarks(pairs: Iterable[str], file: Path | None) -> list[dict[str, An
             source, target = ([float(x) for x in end.split(",")] for end in pair.split(":"))
         except ValueError:
             raise ConfigError(
-                f"{pair!r} is no pair of points.", "Write it as in --landmark 0,1,2:3,4,5."
+                f"{pair!r} is not a pair of points.", "Use the form --landmark 0,1,2:3,4,5."
             ) from None
         found.append({"source": source, "target": target})
     return found or None
@@ -127,7 +128,9 @@ def parse_seeds(text: str) -> list[int]:
     try:
         return [int(item) for item in parse_list(text)]
     except ValueError:
-        raise ConfigError(f"--seeds {text} are no numbers.", "Write them as in 1,2,3.") from None
+        raise ConfigError(
+            f"--seeds {text} is not a list of whole numbers.", "Use a list such as 1,2,3."
+        ) from None
 
 
 def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
@@ -140,12 +143,12 @@ def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
     """
     if out.exists() and not force and not (folder and out.is_dir()):
         raise ResultError(
-            f"{out} is there already.",
+            f"{out} already exists.",
             "Choose another file with --out, or replace it with --force.",
         )
     if not out.absolute().parent.is_dir():
         raise ResultError(
-            f"There is no folder {out.parent}.", "Make it, or choose another file with --out."
+            f"There is no folder {out.parent}.", "Create it, or choose another file with --out."
         )
 
 

@@ -125,7 +125,7 @@ def check_memory() -> Finding:
     free = free_memory()
     text = f"{format_size(free)} free of {format_size(total_memory())}, {usable_cores()} cores"
     if free < LEAST_MEMORY:
-        return Finding("memory", "warning", text, "Free some: a job takes half a gigabyte.")
+        return Finding("memory", "warning", text, "Free some memory: a job takes half a gigabyte.")
     return Finding("memory", "ok", text)
 
 
@@ -139,13 +139,13 @@ def check_disk(data_dir: Path) -> Finding:
             file.write(bytes(1 << 16))
     except OSError as error:
         return Finding(
-            "disk", "fault", f"{data_dir} cannot be written ({error.strerror or error}).",
+            "disk", "fault", f"{data_dir} cannot be written to ({error.strerror or error}).",
             "Free some space, or choose another MORPH_DATA_DIR.",
         )  # fmt: skip
     free = shutil.disk_usage(place).free
     text = f"{format_size(free)} free for {data_dir}"
     if free < LEAST_DISK:
-        return Finding("disk", "warning", text, "Free some: a result takes 24 MB.")
+        return Finding("disk", "warning", text, "Free some space: a result takes 24 MB.")
     return Finding("disk", "ok", text)
 
 
@@ -162,15 +162,20 @@ def check_network() -> Finding:
     """Whether processes that read uploads can be kept from the network."""
     command = python_command("chamfer_morph.worker.sandbox.network")
     if sys.platform != "linux":
-        text = "Processes that read uploads have it: only Linux can take it from them."
-        return Finding("network", "warning", text, "Let a firewall keep the service from others.")
+        text = "Processes that read uploads have network access: it can be blocked only on Linux."
+        return Finding(
+            "network",
+            "warning",
+            text,
+            "Use a firewall to keep the service from reaching other machines.",
+        )
     if subprocess.run(command, check=False).returncode:
         return Finding(
-            "network", "warning", "Processes that read uploads have it.",
+            "network", "warning", "Processes that read uploads have network access.",
             "Allow user namespaces (sysctl kernel.unprivileged_userns_clone=1, or a seccomp "
-            "profile that lets unshare pass), or let a network policy do it.",
+            "profile that permits unshare), or block it by a network policy.",
         )  # fmt: skip
-    return Finding("network", "ok", "Processes that read uploads have none.")
+    return Finding("network", "ok", "Processes that read uploads have no network access.")
 
 
 def check_files() -> Finding:
@@ -178,10 +183,13 @@ def check_files() -> Finding:
     command = python_command("chamfer_morph.worker.sandbox.landlock")
     if subprocess.run(command, check=False).returncode:
         return Finding(
-            "files", "warning", "Processes that read uploads may read what the service may.",
-            "Take Linux 5.13 or newer with Landlock (`lsm=` of the kernel names it).",
+            "files", "warning",
+            "Processes that read uploads can read every file that the service can.",
+            "Use Linux 5.13 or newer with Landlock enabled (in `lsm=` of the kernel command line).",
         )  # fmt: skip
-    return Finding("files", "ok", "Processes that read uploads have those of their task alone.")
+    return Finding(
+        "files", "ok", "Processes that read uploads can read only the files of their task."
+    )
 
 
 def check_database(settings: Settings) -> Finding:
@@ -212,7 +220,9 @@ def check_database(settings: Settings) -> Finding:
         engine.dispose()
     text = f"Postgres, {answer}, {connections} connections, clocks differ by {abs(ahead):.1f} s"
     if abs(ahead) > LARGEST_CLOCK_DIFFERENCE:
-        return Finding("database", "warning", text, "Set the clocks of both machines by NTP.")
+        return Finding(
+            "database", "warning", text, "Synchronise the clocks of both machines by NTP."
+        )
     if settings.workers * CONNECTIONS_PER_PROCESS > connections:
         return Finding("database", "warning", text, "Raise max_connections, or run fewer workers.")
     return Finding("database", "ok", text)
@@ -239,8 +249,9 @@ def check_object_store(settings: Settings) -> Finding:
     finally:
         bucket.delete([key])
     return Finding(
-        "object store", "fault", "It ignores If-Match, so that two workers may overwrite one job.",
-        "Choose a store with conditional writes.",
+        "object store", "fault",
+        "It ignores If-Match, so two workers could overwrite the same job.",
+        "Choose a store that supports conditional writes.",
     )  # fmt: skip
 
 
@@ -257,7 +268,7 @@ def check_morph() -> Finding:
         seconds = time.perf_counter() - began
         if outcome.returncode or not out.is_file():
             last = outcome.stderr.strip() or describe_exit(outcome.returncode)
-            return Finding("morph", "fault", last, "Report it with the lines above.")
+            return Finding("morph", "fault", last, "Report it together with the lines above.")
     return Finding("morph", "ok", f"two small frames in {seconds:.1f} s on {_device()}")
 
 

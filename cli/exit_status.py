@@ -68,7 +68,7 @@ def _program_fault(error: Exception) -> MorphError:
     location = f"{os.path.basename(frame.filename)}, line {frame.lineno}"
     version = metadata.version("chamfer-morph")
     return MorphError(
-        f"This is a fault of the program: {type(error).__name__}: {error} in {location}.",
+        f"This is a bug in morph: {type(error).__name__}: {error} in {location}.",
         f"Please report that line, your command, chamfer-morph {version}, Python "
         f"{platform.python_version()} and {platform.platform()}; --debug shows the traceback.",
     )

@@ -19,7 +19,9 @@ def chosen_gpus(text: str) -> list[str]:
     if text != "all":
         indices = text.split(",")
         if not all(index.isdecimal() for index in indices):
-            raise ConfigError(f"--gpus {text} names no GPUs.", "Write all, or indices as in 0,2.")
+            raise ConfigError(
+                f"--gpus {text} is not a list of GPUs.", "Use all, or indices such as 0,2."
+            )
         return list(dict.fromkeys(indices))
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
@@ -28,7 +30,7 @@ def chosen_gpus(text: str) -> list[str]:
         if not found:
             raise DeviceError(
                 f"CUDA_VISIBLE_DEVICES is {visible!r}, which leaves no GPU.",
-                "Unset it for all of them, or use --slots for the CPU.",
+                "Unset it to use all GPUs, or use --slots for the CPU.",
             )
         return list(dict.fromkeys(found))
     try:
@@ -41,7 +43,7 @@ def chosen_gpus(text: str) -> list[str]:
     except (OSError, subprocess.CalledProcessError):
         listed = []
     if not listed:
-        raise DeviceError("No NVIDIA GPU is to be found here.", "Use --slots for the CPU.")
+        raise DeviceError("No NVIDIA GPU was found.", "Use --slots for the CPU.")
     return listed
 
 

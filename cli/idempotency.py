@@ -26,7 +26,7 @@ def repeatable(key: str | None, what: str) -> Iterator[str]:
     report = partial(
         interrupt.report,
         f"Stopped by Ctrl-C; {what} may have been submitted.",
-        f"Look with morph jobs, or repeat the command with --idempotency-key {key}.",
+        f"Check with morph jobs, or repeat the command with --idempotency-key {key}.",
     )
     with interrupt.at_interrupt(report):
         yield key

@@ -64,7 +64,7 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
     if out.exists() and not (execution.resume or execution.force):
         resumable = "continue it with --resume, " if spool_path(out).exists() else ""
         raise ResultError(
-            f"{out} is there already.",
+            f"{out} already exists.",
             f"Choose another file with --out, {resumable}or replace it with --force.",
         )
     summary = Summary(record, out)
@@ -78,9 +78,9 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
         RunDisplay(record.planned_frames, quiet=execution.quiet) as display,
     ):
         if record.placement.message:
-            display.print(f"{record.placement.message} --fit none leaves shapes as they are.")
+            display.print(f"{record.placement.message} Use --fit none to keep shapes as they are.")
         if record.placement.turning:
-            display.print(f"{record.placement.turning} --up y takes both as they are.")
+            display.print(f"{record.placement.turning} Use --up y to keep both as they are.")
         frames = morphing.run(
             record,
             device=execution.device,
@@ -129,7 +129,7 @@ def report(summary: Summary, *, as_json: bool, **more: float) -> None:
     if summary.interrupted:
         interrupt.report(
             f"Stopped by Ctrl-C after {summary.frames} frames.",
-            "Continue with the same command and --resume.",
+            "To continue, repeat the command with --resume.",
         )
 
 
@@ -145,7 +145,7 @@ def record_to_rerun(result: Path) -> RunRecord:
     for name, version in versions.items():
         if record.software.get(name) != version:
             before = record.software.get(name, "absent")
-            sys.stderr.write(f"{name} was {before} then and is {version} now.\n")
+            sys.stderr.write(f"{name} was {before} in the original run and is {version} now.\n")
     return replace(record, software=versions)
 
 

@@ -58,7 +58,10 @@ def fetch_meshes(
     quiet: bool = False,
 ) -> list[FetchedMesh]:
     """Put meshes into a folder, telling on standard error what is being done; see `MeshFetch`."""
-    lines = "Stopped by Ctrl-C; what has arrived is kept.", "Continue with the same command."
+    lines = (
+        "Stopped by Ctrl-C; what has been downloaded is kept.",
+        "Repeat the command to continue.",
+    )
     fetching = MeshFetch(
         folder, place=place, checksums=checksums, report=_ignore if quiet else _tell
     )
@@ -130,8 +133,8 @@ class MeshFetch:
                 return [self._put(name, self._recipes[name]) for name in wanted]
         except OSError as error:
             raise MeshError(
-                f"{self._folder} cannot be written or read ({error.strerror or error}).",
-                "Name a folder with room that you may write to with --to.",
+                f"{self._folder} cannot be read or written to ({error.strerror or error}).",
+                "Use --to to name a writable folder with enough space.",
             ) from error
 
     def _put(self, name: str, recipe: Recipe) -> FetchedMesh:
@@ -188,17 +191,17 @@ class MeshFetch:
             return target
         expected = self._expected(original)
         if target.exists() and expected not in ("", file_sha256(target)):
-            self._report(f"{target} is damaged and is fetched again")
+            self._report(f"{target} is damaged and will be fetched again")
             target.unlink()
         if not target.exists():
             part = self._fetch(original, target)
             if expected not in ("", digest := file_sha256(part)):
                 discard(part)
                 raise MeshError(
-                    f"{original.name} is not what it should be: its SHA-256 is {digest} and not "
+                    f"{original.name} is not the expected file: its SHA-256 is {digest}, not "
                     f"{expected}; it has been removed.",
-                    "Repeat the command, or name another place with --from. If its author has "
-                    "changed it, give a list with its new digest as --checksums.",
+                    "Repeat the command, or use another source with --from. If the author has "
+                    "changed the file, give a list with its new digest as --checksums.",
                 )
             complete(part, target)
         self._obtained[original.name] = "as known" if expected else "recorded now"
@@ -216,7 +219,7 @@ class MeshFetch:
         if not source.is_file():
             raise MeshError(
                 f"There is no {original.name} in the folder {place}.",
-                f"Get it from {original.url}, or leave --from out.",
+                f"Download it from {original.url}, or omit --from.",
             )
         self._report(f"copying {source}")
         return Path(shutil.copyfile(source, target.with_name(f"{target.name}.part")))

@@ -21,17 +21,19 @@ SHAPE_HELP = (
     "(see morph shapes)."
 )
 FIT_HELP = (
-    "Scale and centre shapes where they need it (auto), each to the usual volume, each to touch "
-    "the domain, or never."
+    "Scale and centre shapes only if they need it (auto), each to the usual volume, each to "
+    "span the domain, or never."
 )
 
-ROTATE_HELP = "Turn the source about x, y and z through its centre, about z first \\[degrees]."
+ROTATE_HELP = "Rotate the source about x, y and z through its centre, about z first \\[degrees]."
 
 Fit = Literal["auto", "volume", "extent", "none"]
 
 TargetArguments = Annotated[
     list[str],
-    typer.Argument(metavar="TARGET...", help="What it is to become; several, one after the other."),
+    typer.Argument(
+        metavar="TARGET...", help="The shape to morph into; or several, one after the other."
+    ),
 ]
 MethodOption = Annotated[str | None, typer.Option(help="See morph methods.")]
 
@@ -49,19 +51,19 @@ class MethodCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-SeedOption = Annotated[int | None, typer.Option(help="Seed of every random choice.")]
+SeedOption = Annotated[int | None, typer.Option(help="Random seed.")]
 DeviceOption = Annotated[
     Literal["auto", "cpu", "cuda", "vulkan", "metal"], typer.Option(help="Where to compute.")
 ]
 ResultFileOption = Annotated[
-    Path | None, typer.Option(help="Result file; SOURCE-to-TARGET.vtkhdf if not given.")
+    Path | None, typer.Option(help="Result file; default: SOURCE-to-TARGET.vtkhdf.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file.")]
-WatchOption = Annotated[bool, typer.Option("--watch", help="Show progress until the end.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+WatchOption = Annotated[bool, typer.Option("--watch", help="Show progress until the job ends.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Do not show progress.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 KeyOption = Annotated[
-    str | None, typer.Option(envvar="MORPH_KEY", help="API key; better in MORPH_KEY.")
+    str | None, typer.Option(envvar="MORPH_KEY", help="API key; better set in MORPH_KEY.")
 ]
 
 
@@ -70,29 +72,31 @@ class ConfigOptions:
     """The configuration of a morph: a preset, and settings in place of its own."""
 
     preset: Annotated[str, typer.Option(help="See morph presets.")] = "fast"
-    frames: Annotated[int | None, typer.Option(help="Frames to compute, to each target.")] = None
+    frames: Annotated[int | None, typer.Option(help="Frames to compute for each target.")] = None
     points_per_cell_edge: Annotated[
-        int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 usual, 4 fine.")
+        int | None, typer.Option(help="Particles per grid cell edge: 2 quick, 3 normal, 4 fine.")
     ] = None
     fit: Annotated[Fit | None, typer.Option(help=FIT_HELP)] = None
     up: Annotated[
         Literal["auto", "y", "z"] | None,
-        typer.Option(help="The upward axis of both shapes; auto: as each file tells."),
+        typer.Option(help="The upward axis of both shapes; auto: from each file."),
     ] = None
     source_rotate: Annotated[str | None, typer.Option(metavar="X,Y,Z", help=ROTATE_HELP)] = None
     target_rotate: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="The same of the target.")
+        str | None, typer.Option(metavar="X,Y,Z", help="The same for the target.")
     ] = None
     landmark: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="X,Y,Z:X,Y,Z", help="A point of the source, and of the target where it ends."
+            metavar="X,Y,Z:X,Y,Z",
+            help="A point of the source, and the point of the target where it ends.",
         ),
     ] = None
     landmarks: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Such pairs in JSON: \\[{source: \\[x, y, z], target: ...}]."
+            metavar="FILE",
+            help="File with such pairs in JSON: \\[{source: \\[x, y, z], target: ...}].",
         ),
     ] = None
     settings: Annotated[
@@ -120,17 +124,17 @@ class ConfigOptions:
 class ExecutionOptions:
     """How a run is computed on this machine."""
 
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished run.")] = False
-    force: Annotated[bool, typer.Option("--force", help="Replace a result.")] = False
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an unfinished run.")] = False
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing result.")] = False
     device: DeviceOption = "auto"
-    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 takes every core.")] = 0
+    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 uses every core.")] = 0
     quiet: QuietOption = False
     as_json: JsonOption = False
 
 
 IdempotencyKeyOption = Annotated[
     str | None,
-    typer.Option(metavar="KEY", help="Commands with the same key have one effect between them."),
+    typer.Option(metavar="KEY", help="Repeated commands with the same key take effect only once."),
 ]
 
 
@@ -139,18 +143,21 @@ class SubmissionOptions:
     """How the service is to compute a job."""
 
     device: DeviceOption = "auto"
-    priority: Annotated[int, typer.Option(help="1 to 1000; smaller runs earlier among yours.")] = (
-        100
-    )
+    priority: Annotated[
+        int, typer.Option(help="1 to 1000; among your jobs, lower numbers start first.")
+    ] = 100
     timeout: Annotated[
-        float | None, typer.Option(help="Stop a job that computes for longer \\[s].")
+        float | None, typer.Option(help="Stop the job after this running time \\[s].")
     ] = None
-    name: Annotated[str, typer.Option(help="A name for your own use.")] = ""
+    name: Annotated[str, typer.Option(help="A name of your choice.")] = ""
     reuse: Annotated[
-        bool, typer.Option("--reuse", help="Take the result of an equal job of yours, if any.")
+        bool,
+        typer.Option(
+            "--reuse", help="Use the result of an identical job of yours, if there is one."
+        ),
     ] = False
     states_every: Annotated[
-        int, typer.Option(help="Keep the full state after every so many frames, for morph fork.")
+        int, typer.Option(help="Keep the full state after every N frames, for morph fork.")
     ] = 0
     idempotency_key: IdempotencyKeyOption = None
 
@@ -177,7 +184,7 @@ class ServiceOptions:
         str | None,
         typer.Option(
             envvar="MORPH_SERVER",
-            help="Address of the service; http://127.0.0.1:8000 if not given.",
+            help="Address of the service; default: http://127.0.0.1:8000.",
         ),
     ] = None
     key: KeyOption = None

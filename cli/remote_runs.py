@@ -98,7 +98,7 @@ def _fetch(
     provenance = Provenance.model_validate(job.outcome.provenance if job.outcome else {})
     if not any_code and provenance.code != run.code:
         return store.save_failure(
-            run, digest, f"The service computes with other code (job {job.id}); see --any-code."
+            run, digest, f"The service computes with different code (job {job.id}); see --any-code."
         )
     path = store.result_path(run)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def _fetch(
         with Trajectory(path) as result:
             if result.config != run.config():
                 return store.save_failure(
-                    run, digest, f"The service computes with other settings (job {job.id})."
+                    run, digest, f"The service computes with different settings (job {job.id})."
                 )
             record = record_from_result(run, digest, result, provenance)
     except ServiceError as error:

@@ -99,7 +99,7 @@ def print_plan(
     So many runs are known, and so many of the missing ones are there, but of other code.
     """
     cost = sum(run.expected_cpu_seconds for run in missing)
-    plan = f"{len(missing)} runs to compute, {known} are there already."
+    plan = f"{len(missing)} runs to compute, {known} already computed."
     if missing and server is None:
         cores = min(jobs, usable_cores())
         duration = format_duration(cost / cores)
@@ -109,8 +109,8 @@ def print_plan(
     sys.stderr.write(f"{plan}\n")
     if outdated:
         sys.stderr.write(
-            f"{outdated} of them are there, of other code or of code that they do not name: "
-            "--any-code takes such runs as they are.\n"
+            f"{outdated} of them were computed by other or unknown code: use --any-code to "
+            "accept such runs.\n"
         )
 
 

@@ -160,15 +160,15 @@ def print_summary(document: Mapping[str, Any]) -> None:
         f"{format_size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"
     )
     out = shlex.quote(document["out"])
-    sys.stdout.write(f"look at it:  morph view {out}\nall numbers: morph metrics {out}\n")
+    sys.stdout.write(f"view it:     morph view {out}\nall metrics: morph metrics {out}\n")
 
 
 def quality(metrics: Mapping[str, float]) -> str:
     """How well particles fill the target, in a sentence."""
     low, high = metrics["rho_p05"], metrics["rho_p95"]
     words = (
-        f"{metrics['cover']:.0%} of the target is filled, {metrics['spill']:.0%} of the fill lies "
-        f"beside it; density {low:.2f} to {high:.2f} of an even fill's."
+        f"{metrics['cover']:.0%} of the target is filled, {metrics['spill']:.0%} of the fill "
+        f"lies outside it; density {low:.2f} to {high:.2f} of an even fill's."
     )
     escaped = int(metrics.get("escaped", 0))
     return f"{words} {escaped} particles left the domain." if escaped else words
@@ -264,8 +264,8 @@ def print_outcome(job: Job) -> None:
         sys.stdout.write(f"{quality(job.outcome.metrics)}\n")
     sys.stdout.write(
         f"{job.outcome.frames} frames of {job.outcome.particle_count:,} particles "
-        f"({_cost(job.outcome)}): job {job.id}\n"
-        f"look at it: morph view {job.id}\nfetch it:   morph fetch {job.id}\n"
+        f"({_cost(job.outcome)}): job {job.id}\nview it:  morph view {job.id}\n"
+        f"fetch it: morph fetch {job.id}\n"
     )
 
 

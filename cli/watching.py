@@ -55,8 +55,8 @@ def _leaving_at_interrupt(
         if as_json:
             print_json({"id": name, "interrupted": True})
         interrupt.report(
-            f"Stopped watching by Ctrl-C; the {kind} goes on.",
-            f"See it again with morph {command} {name}.",
+            f"Stopped watching by Ctrl-C; the {kind} continues.",
+            f"Watch it again with morph {command} {name}.",
         )
 
     return interrupt.at_interrupt(report)
@@ -85,4 +85,4 @@ def _show(event: Event, display: RunDisplay) -> None:
     elif event.type == "attempt" and (data["attempt"] > 1 or data["resumed_frames"]):
         display.print(f"attempt {data['attempt']}, after {data['resumed_frames']} finished frames")
     elif event.type == "problem" and data["retry"]:
-        display.print(f"{data['cause']} It is tried again.")
+        display.print(f"{data['cause']} It will be tried again.")

@@ -81,7 +81,7 @@ def download(client: httpx.Client, url: str, target: Path) -> Path:
             time.sleep(FIRST_PAUSE_SECONDS * 2 ** (failures - 1))
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             raise MeshError(
-                f"{url} cannot be fetched ({_line(error)}).", "Name another place with --from."
+                f"{url} cannot be fetched ({_line(error)}).", "Use another source with --from."
             ) from error
 
 
@@ -111,8 +111,8 @@ def _receive(client: httpx.Client, url: str, part: Path) -> Path:
             raise _Passing(f"HTTP status {status}")
         if not response.is_success:
             raise MeshError(
-                f"{url} is not to be had: the server answers {status} {response.reason_phrase}.",
-                "Name another place with --from: an address or a folder that has "
+                f"{url} is not available: the server answered {status} {response.reason_phrase}.",
+                "Use --from to name another URL or a folder that has "
                 f"{part.name.removesuffix('.part')}.",
             )
         resumed = status == 206
@@ -120,7 +120,7 @@ def _receive(client: httpx.Client, url: str, part: Path) -> Path:
             f"bytes {arrived}-"
         ):
             discard(part)
-            raise _Passing("the server sent another range than the one asked for")
+            raise _Passing("the server did not send the requested range")
         if not resumed:
             discard(part)
             arrived = 0
@@ -139,8 +139,8 @@ def _append(response: httpx.Response, part: Path, arrived: int, url: str) -> Non
     if arrived > SIZE_LIMIT:
         discard(part)
         raise MeshError(
-            f"{url} has more than {SIZE_LIMIT >> 20} MiB, so it is not the file that is wanted.",
-            "Name another place with --from.",
+            f"{url} has more than {SIZE_LIMIT >> 20} MiB, so it is not the expected file.",
+            "Use another source with --from.",
         )
 
 
@@ -169,13 +169,13 @@ def _size(path: Path) -> int:
 def _broken_off(url: str, part: Path, error: Exception) -> MeshError:
     if size := _size(part):
         return MeshError(
-            f"{url} broke off after {size} bytes ({_line(error)}).",
-            "What has arrived is kept; repeat the command to fetch the rest.",
+            f"The download of {url} stopped after {size} bytes ({_line(error)}).",
+            "What has been downloaded is kept; repeat the command to fetch the rest.",
         )
     return MeshError(
         f"{url} cannot be reached ({_line(error)}).",
-        "Check the network and HTTPS_PROXY, or name a folder or an address that has "
-        f"{part.name.removesuffix('.part')} with --from.",
+        "Check the network and HTTPS_PROXY, or use --from to name a folder or another URL "
+        f"that has {part.name.removesuffix('.part')}.",
     )
 
 

@@ -57,7 +57,7 @@ class Connection:
                 400,
             )
         if not (secret.isascii() and secret.isprintable()):
-            raise ServiceError("The API key has characters that no key has.", "Copy it again.", 401)
+            raise ServiceError("The API key contains invalid characters.", "Copy it again.", 401)
         self._http = httpx.AsyncClient(
             base_url=f"{self.server}/v1",
             headers={"Authorization": f"Bearer {secret}"} if secret else {},

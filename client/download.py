@@ -35,8 +35,9 @@ async def download(connection: Connection, path: str, target: Path) -> None:
             pass
     except OSError as error:
         raise ResultError(
-            f"{target} cannot be written ({error.strerror or error}).",
-            "See that its folder is there, has room and may be written to. What arrived is kept.",
+            f"{target} cannot be written to ({error.strerror or error}).",
+            "Check that its folder exists, is writable and has free space. What has been "
+            "downloaded is kept.",
         ) from error
 
 
@@ -80,7 +81,7 @@ def _complete(part: Path, target: Path) -> None:
     if file_sha256(part) != _digest(part):
         part.unlink()
         raise ResultError(
-            f"{target.name} arrived damaged: its SHA-256 is not the one announced.",
+            f"{target.name} was damaged in transfer: its SHA-256 is not the expected one.",
             "Fetch it again.",
         )
     os.replace(part, target)

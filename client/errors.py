@@ -15,13 +15,13 @@ NO_KEY = 401
 
 _REMEDIES = {
     NO_KEY: "Give a key with --key or MORPH_KEY; morph keys create makes one.",
-    403: "Use a key that may do this.",
+    403: "Use a key that is permitted to do this.",
     404: "Look it up with morph jobs.",
-    413: "Send less at a time.",
+    413: "Send less data at a time.",
     429: "Try again later.",
 }
 
-_SERVER_FAULT = "Try again later; the log of the service has more."
+_SERVER_FAULT = "Try again later; the log of the service has details."
 
 
 class ServiceError(MorphError):
@@ -43,7 +43,7 @@ def refusal(response: httpx.Response) -> ServiceError:
     document = _problem(response)
     detail = document.get("detail") or document.get("title")
     cause = detail or f"The service answered {status} {response.reason_phrase}"
-    general = _SERVER_FAULT if status >= 500 else "Change it."
+    general = _SERVER_FAULT if status >= 500 else "Change the request."
     remedy = _REMEDIES.get(status, general)
     if status != NO_KEY:
         remedy = document.get("remedy") or remedy
@@ -62,7 +62,7 @@ def unreachable(server: str, error: Exception) -> ServiceError:
 def unexpected_answer(server: str) -> ServiceError:
     """The error for an answer that is not of this service."""
     return ServiceError(
-        f"What answers at {server} is not this version of the morph service.",
+        f"The server at {server} is not this version of the morph service.",
         "Check the address in --server or MORPH_SERVER.",
     )
 

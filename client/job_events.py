@@ -45,7 +45,7 @@ async def _stream(connection: Connection, path: str, after: int) -> AsyncGenerat
     while True:
         headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": str(after)} if after else {})
         response: httpx.Response | None = None
-        loss: Exception = EOFError("the event stream broke off")
+        loss: Exception = EOFError("the event stream was interrupted")
         try:
             async with connection.stream(path, headers=headers, timeout=STREAM_TIMEOUT) as response:
                 if response.status_code in _TRY_POLLING or _is_no_event_stream(response):

@@ -128,7 +128,7 @@ def start(
         return wanted
     if precision == "float64" and wanted.device in ("metal", "vulkan"):
         raise DeviceError(
-            f"The device {wanted.device} does not compute in float64.",
+            f"The device {wanted.device} does not support float64.",
             "Set `device` to cpu or cuda, or use float32.",
         )
     array_lifetimes.begin_program()

@@ -106,7 +106,7 @@ def compare(
         ConfigError: The spacing is not a positive length.
     """
     if spacing is not None and not 0 < spacing < math.inf:
-        raise ConfigError(f"The spacing {spacing} is not a length.", "Give a spacing above 0.")
+        raise ConfigError(f"The spacing {spacing} is not valid.", "Give a spacing above 0.")
     particles = _load(a, frame)
     goal = _own_target(particles, reference) if b is None else _load(b, frame)
     if b is not None:
@@ -162,7 +162,8 @@ def measure_path(result: Trajectory | str | Path, leg: int = 0) -> dict[str, flo
         own = np.flatnonzero(run.legs == leg)
         if not len(own):
             raise ResultError(
-                f"There is no frame of leg {leg}.", f"Its legs are 0 to {run.run.leg_count - 1}."
+                f"There is no frame of leg {leg}.",
+                f"Its legs are numbered from 0 to {run.run.leg_count - 1}.",
             )
         places = [run.positions(int(frame)) for frame in own]
         record = run.run.leg(leg, run.positions(int(own[0]) - 1) if leg else None)
@@ -267,7 +268,8 @@ def _own_target(particles: _Shape, reference: Reference) -> _Shape:
         return particles.target
     if particles.target.mesh is None:
         raise MeshError(
-            "The run's target is a cloud without a surface.", "Measure against the volume."
+            "The target of the run is a point cloud without a surface.",
+            "Measure against the volume.",
         )
     return replace(particles.target, points=None)
 

@@ -53,8 +53,8 @@ class SimulationError(MorphError):
     def after(cls, frames: int, cause: str, remedy: str) -> SimulationError:
         """What ends a morph that has so many frames; the cause is part of a sentence."""
         return cls(
-            f"The morph cannot go on after {frames} frame{'s' * (frames != 1)}: {cause}.",
-            f"What is finished is kept; {remedy}.",
+            f"The morph cannot continue after {frames} frame{'s' * (frames != 1)}: {cause}.",
+            f"Finished frames are kept; {remedy}.",
         )
 
 
@@ -89,5 +89,5 @@ def unknown_name(
     known = list(known)
     remedy = f"Did you mean {difflib.get_close_matches(name.lower(), known, 1, 0.0)[0]!r}?"
     if list_known:
-        remedy += f" {kind.capitalize()}s are {', '.join(known)}."
+        remedy += f" Available {kind}s: {', '.join(known)}."
     return error(f"There is no {kind} called {name!r}.", remedy)

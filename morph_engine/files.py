@@ -99,7 +99,7 @@ def wait_for(path: Path, seconds: float = float("inf")) -> BinaryIO:
     deadline = time.monotonic() + seconds
     while (lock := acquire(path)) is None:
         if time.monotonic() > deadline:
-            raise TimeoutError(f"{path} is held by another process.")
+            raise TimeoutError(f"{path} is in use by another process.")
         time.sleep(POLL_SECONDS)
     return lock
 

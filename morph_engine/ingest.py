@@ -45,7 +45,7 @@ class Resolution(BaseModel, frozen=True):
     """What a run costs at one number of particles per cell edge."""
 
     points_per_cell_edge: int
-    particle_count: int = Field(description="Particles of the published lattice")
+    particle_count: int = Field(description="Particles on the published lattice")
     estimate: Estimate = Field(description="Cost of a run against a target of the usual size")
 
 
@@ -56,23 +56,27 @@ class IngestReport(BaseModel, frozen=True):
     sha256: str
     vertex_count: int
     face_count: int
-    watertight: bool = Field(description="Every edge joins two faces whose orientations agree")
+    watertight: bool = Field(
+        description="Whether every edge joins two faces of consistent orientation"
+    )
     component_count: int = Field(description="Parts that share no vertex")
     euler: int = Field(description="Vertices - edges + faces, equal positions welded")
-    open_edge_count: int = Field(description="Edges along which the surface is open")
-    openings: tuple[Opening, ...] = Field(description="The largest ones, at most ten")
-    ambiguous_winding: float = Field(description="Share of points neither inside nor outside")
+    open_edge_count: int = Field(description="Number of edges along which the surface is open")
+    openings: tuple[Opening, ...] = Field(description="The largest openings, at most ten")
+    ambiguous_winding: float = Field(
+        description="Share of points that are neither inside nor outside"
+    )
     volume: float = Field(description="Enclosed volume; overlapping parts count twice")
     bounds: tuple[Vector, Vector] = Field(description="Corners of the bounding box")
     colors: Literal["none", "corners", "textures"] = Field(
-        "none", description="Where its colours are, if it has any"
+        "none", description="Where its colours are stored, if it has any"
     )
-    up: Up | None = Field(None, description="Upward axis as its file tells; null if nothing does")
-    fits_domain: bool = Field(description="Lies in the usable cube as it is")
+    up: Up | None = Field(None, description="Upward axis according to the file; null if unknown")
+    fits_domain: bool = Field(description="Whether it lies in the usable cube as it is")
     resolutions: tuple[Resolution, ...] = Field(
-        description="Empty unless the mesh can be used, placed in the domain as was asked for"
+        description="Empty unless the mesh can be used with the requested placement"
     )
-    placement: str = Field(description="How it was placed for that; empty where it stays")
+    placement: str = Field(description="How it was placed for that; empty if it was not moved")
     warnings: tuple[str, ...]
 
 
@@ -97,9 +101,9 @@ def inspect_mesh(mesh: Mesh, *, fit: Fit = "auto") -> IngestReport:
     cavities = np.count_nonzero(topology.component_volumes < 0)
     warnings = mesh.repairs
     if not topology.watertight:
-        warnings += ("The surface is not watertight; the winding number decides what is inside.",)
+        warnings += ("The surface is not watertight; winding numbers decide what is inside.",)
     if cavities:
-        warnings += (f"{cavities} inverted part(s) are taken for cavities.",)
+        warnings += (f"{cavities} inverted part(s) are treated as cavities.",)
     lower, upper = mesh.bounds.tolist()
     return IngestReport(
         name=mesh.name,
@@ -171,22 +175,22 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float, own: Mesh) -> Mes
     if not _fits(mesh, half_extent):
         lower, upper = mesh.bounds
         return MeshError(
-            f"{mesh.name} reaches from {_text(lower)} to {_text(upper)}, beyond the domain, which "
-            f"ends at {half_extent:g} grid units from its centre.",
+            f"{mesh.name} extends from {_text(lower)} to {_text(upper)}, beyond the "
+            f"domain, which ends at {half_extent:g} grid units from its centre.",
             FIT_REMEDY,
         )
     if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
         return MeshError(
             f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
             f"than {MINIMUM_PARTICLES} particles.",
-            f"Thicken it where it is thin. {FIT_REMEDY}",
+            f"Thicken thin parts. {FIT_REMEDY}",
         )
     if ambiguous > AMBIGUOUS_LIMIT:
         return MeshError(
             f"{ambiguous:.0%} of the points around {mesh.name} are neither inside nor outside: "
             f"{_diagnosis(own)}.",
-            "Close the surface and make its normals agree in a mesh editor, "
-            "for instance with Fill Holes and Recalculate Outside in Blender.",
+            "Close the surface and make its normals consistent in a mesh editor, for "
+            "instance with Fill Holes and Recalculate Outside in Blender.",
         )
     return None
 
@@ -213,11 +217,12 @@ def _diagnosis(mesh: Mesh) -> str:
     """Say which part of a mesh is open."""
     openings = Topology(mesh.vertices, mesh.faces).openings
     if not openings:
-        return "its faces intersect or repeat"
+        return "its faces intersect or are duplicated"
     largest = openings[0]
     return (
-        f"of {len(openings)} openings or seams of reversed faces the largest has "
-        f"{largest.edge_count} edges, centre {_text(largest.centre)} and size {_text(largest.size)}"
+        f"the largest of {len(openings)} openings or seams of reversed faces has "
+        f"{largest.edge_count} edges, centre {_text(largest.centre)} and size "
+        f"{_text(largest.size)}"
     )
 
 

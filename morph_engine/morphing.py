@@ -100,7 +100,7 @@ def prepare(source: ShapeLike, target: Targets, config: MorphConfig | None = Non
     config = config or configure()
     targets: list[Any] = list(target) if isinstance(target, list | tuple) else [target]
     if not targets:
-        raise ConfigError("There is no target.", "Name one, or several in their order.")
+        raise ConfigError("There is no target.", "Give one, or several in order.")
     if len(targets) > 1:
         config.method.check_legs(len(targets))
     source_shape = _resolve(source)
@@ -604,7 +604,7 @@ def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
             f"A point cloud has shape [n, 3], not {list(cloud.shape)}.", "Give one row per point."
         )
     if not np.isfinite(cloud).all():
-        raise MeshError("The point cloud holds non-finite coordinates.", "Remove those points.")
+        raise MeshError("The point cloud contains non-finite coordinates.", "Remove those points.")
     if len(cloud) < MINIMUM_PARTICLES:
         raise MeshError(
             f"The point cloud has {len(cloud)} points, fewer than {MINIMUM_PARTICLES}.",
@@ -613,7 +613,7 @@ def _cloud(points: NDArray[Any], config: MorphConfig) -> NDArray[np.float32]:
     reach = float(np.abs(cloud).max())
     if reach > config.domain:
         raise MeshError(
-            f"The point cloud reaches to {reach:.4g} grid units, beyond the domain of "
+            f"The point cloud extends to {reach:.4g} grid units, beyond the domain of "
             f"+-{config.domain:g}.",
             "Scale and centre it to fit.",
         )

@@ -47,7 +47,7 @@ def show(record: RunRecord, compute: Compute, out: str | Path | None) -> None:
                     distance = f"{frame.metrics['two_sided']:.2f} dx from the target"
                     cell.progress(f"{names}: frame {done} of {total}, {distance}", done / total)
         except BaseException:
-            kept = f"; `resume=True` goes on with {path.name}" if out and done else ""
+            kept = f"; `resume=True` continues {path.name}" if out and done else ""
             cell.show(f"{names}: stopped after {done} of {total} frames{kept}")
             raise
         with Trajectory(path) as trajectory:

@@ -39,6 +39,6 @@ def load(module: str, *, extra: str, purpose: str) -> Any:
 
 def _absent(package: str, extra: str, purpose: str) -> ExtraError:
     return ExtraError(
-        f"{purpose} needs the Python package {package}, which is absent.",
+        f"{purpose} needs the Python package {package}, which is not installed.",
         f"Install it with: pip install 'chamfer-morph[{extra}]'",
     )

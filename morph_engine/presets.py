@@ -35,14 +35,16 @@ class Preset(NamedTuple):
 
 _PRESETS = {
     "fast": Preset(
-        5, "The default: one body that flows; joint in a third of its time.", DEFAULT_METHOD
+        5, "The default: one body that flows; for joint, a third of the usual time.", DEFAULT_METHOD
     ),
     "published": Preset(1, "The authors' program, number for number.", "joint", fit="none"),
     "paper": Preset(2, "The text of the paper, taken literally.", "joint", fit="none"),
-    "stiff": Preset(2, "Flow of matter that long resists shear.", "flow", only=True),
+    "stiff": Preset(2, "Flow of matter that resists shear for long.", "flow", only=True),
     "soft": Preset(2, "Flow of soft matter with some inertia.", "flow", only=True),
-    "viscous": Preset(2, "Flow of matter that creeps, and melts a little.", "flow", only=True),
-    "fluid": Preset(2, "Flow of a drop: no resistance, much surface tension.", "flow", only=True),
+    "viscous": Preset(2, "Flow of matter that creeps and melts a little.", "flow", only=True),
+    "fluid": Preset(
+        2, "Flow of a drop: no resistance to shear, high surface tension.", "flow", only=True
+    ),
 }
 
 
@@ -79,7 +81,7 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
     if found.only and method != found.method:
         raise ConfigError(
             f"The preset {preset!r} belongs to the method {found.method!r}.",
-            f"Leave the method out, or choose one of {', '.join(general_names())}.",
+            f"Omit the method, or choose one of {', '.join(general_names())}.",
         )
     options = {"name": method, **options_of(method).presets.get(preset, {})}
     config = validated(

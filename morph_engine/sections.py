@@ -32,14 +32,16 @@ class GridConfig(Section):
 
     dx: Positive = Field(1.0, description="Node spacing, the unit of length of everything else.")
     half_extent: Positive = Field(16.0, description="The domain is [-this, this]^3 [grid units].")
-    margin: NonNegative = Field(0.0, description="Particles keep this far from the walls [dx].")
+    margin: NonNegative = Field(
+        0.0, description="Particles keep this distance from the walls [dx]."
+    )
 
     @model_validator(mode="after")
     def _whole_cells(self) -> GridConfig:
         cells = 2 * self.half_extent / self.dx
         if abs(cells - round(cells)) > 1e-6 or not 4 <= round(cells) <= MOST_CELLS:
             raise ValueError(
-                f"2 grid.half_extent / grid.dx must give 4 to {MOST_CELLS} whole cells per axis"
+                f"2 grid.half_extent / grid.dx must be 4 to {MOST_CELLS} whole cells per axis"
             )
         return self
 
@@ -49,31 +51,35 @@ class SamplingConfig(Section):
 
     points_per_cell_edge: int = Field(3, ge=1, le=8, description="Lattice points per dx and axis.")
     lattice: Literal["published", "even"] = Field(
-        "published", description="Jittered from the bounding box corner, or even and jitter-free."
+        "published",
+        description="Jittered, from the corner of the bounding box, or even and without jitter.",
     )
     fit: Literal["auto", "none", "volume", "extent"] = Field(
         "auto",
-        description="Scale and centre the meshes only if they need it (auto), never, each to a "
-        "common volume, or each to span the domain.",
+        description="Scale and centre the meshes: only if they need it (auto), never "
+        "(none), each to a common volume, or each to span the domain "
+        "(extent).",
     )
 
 
 class PoseConfig(Section):
-    """How a shape is turned, and what is added to where the fit puts it."""
+    """How a shape is rotated, scaled and moved, in addition to the fit."""
 
     up: Literal["auto", "y", "z"] = Field(
-        "auto", description="Its upward axis; auto: as its file tells, if it does."
+        "auto", description="Its upward axis; auto: according to its file, if known."
     )
     rotate: Vector = Field(
         (0.0, 0.0, 0.0),
-        description="Turns about x, y and z through its centre, that about z first [degrees].",
+        description="Rotation about x, y and z through its centre, about z first [degrees].",
     )
-    scale: Positive = Field(1.0, description="Factor about its centre, beside that of the fit.")
+    scale: Positive = Field(
+        1.0, description="Scale factor about its centre, in addition to that of the fit."
+    )
     move: Vector = Field((0.0, 0.0, 0.0), description="Shift after the fit [grid units].")
 
 
 class PlacementConfig(Section):
-    """How the two ends of a morph stand to each other."""
+    """How the two ends of a morph are rotated, scaled and moved."""
 
     source: PoseConfig = PoseConfig()
     target: PoseConfig = PoseConfig()
@@ -119,25 +125,25 @@ class SmoothingConfig(Section):
     first_frames: tuple[int, ...] = Field((0, 10, 30), description="First frame of each phase.")
     late_value: Fraction = Field(0.7, description="s once the matter has arrived.")
     late_frame: int | None = Field(
-        None, ge=0, description="Frame from which `late_value` holds; None never."
+        None, ge=0, description="Frame from which `late_value` applies; None: never."
     )
 
     @model_validator(mode="after")
     def _phases_ascend(self) -> SmoothingConfig:
         starts = self.first_frames
         if len(starts) != len(self.values) or not starts or starts[0] != 0:
-            raise ValueError("first_frames starts with 0 and has one entry per value")
+            raise ValueError("first_frames must start with 0 and have one entry per value")
         if list(starts) != sorted(set(starts)):
-            raise ValueError("first_frames ascends strictly")
+            raise ValueError("first_frames must be strictly ascending")
         return self
 
 
 class AdjointConfig(Section):
     """Departures of the published program from the exact adjoint (algorithm 4.6)."""
 
-    drop_smoothing: bool = Field(False, description="Leave (1 - s) out of the path from F to C.")
+    drop_smoothing: bool = Field(False, description="Omit (1 - s) on the path from F to C.")
     carry_control: bool = Field(False, description="Add s F_bar' to the control gradient.")
-    drop_drag: bool = Field(False, description="Leave drag out of the weights' derivative.")
+    drop_drag: bool = Field(False, description="Omit drag in the derivative of the weights.")
 
 
 class GridLossConfig(Section):
@@ -154,8 +160,8 @@ class WeightedGridLossConfig(GridLossConfig):
     decay_frames: Count = Field(5, description="Frames over which w_phys falls.")
     weight_mode: Literal["coupling_only", "chain", "literal"] = Field(
         "coupling_only",
-        description="Where w_phys acts: on the reverse weight only, also on the adjoint of passes "
-        "after the first, or on the loss as the paper writes it.",
+        description="What w_phys applies to: the reverse weight only, also the adjoint of passes "
+        "after the first, or the loss as in the paper.",
     )
 
 
@@ -166,11 +172,13 @@ class ChamferConfig(Section):
     start_frame: int = Field(5, ge=0, description="Frame at which the ramp begins.")
     ramp_frames: Count = Field(10, description="Frames over which w_ch rises.")
     normalize: bool = Field(True, description="Scale by L_phys / L_ch each control step.")
-    huber_delta: NonNegative = Field(1.5, description="Linear beyond this distance; 0: squared.")
+    huber_delta: NonNegative = Field(
+        1.5, description="The loss is linear beyond this distance; 0: squared everywhere."
+    )
     reverse_weight: NonNegative = Field(1.0, description="Weight of the target->source term.")
     reverse_coupled: bool = Field(True, description="Multiply the reverse weight by w_phys.")
-    reverse_clamp: NonNegative = Field(3.0, description="kappa: clamp to this mean; 0 is off.")
-    reverse_smoothing: NonNegative = Field(2.0, description="Gaussian sigma [dx]; 0 is off.")
+    reverse_clamp: NonNegative = Field(3.0, description="kappa: clamp to this mean; 0: off.")
+    reverse_smoothing: NonNegative = Field(2.0, description="Gaussian sigma [dx]; 0: off.")
     neighborhood: Literal["exact", "published"] = Field(
         "exact", description="All neighbours, or only those in the 27 cells around a point."
     )
@@ -186,17 +194,19 @@ class OptimizerConfig(Section):
     step: Positive = Field(0.01, description="alpha_0, first trial step of the line search.")
     far_distance: NonNegative = Field(
         0.0,
-        description="Where the two-sided distance at the start of a frame exceeds this, steps grow "
-        "in proportion [grid units]; 0 never.",
+        description="If the two-sided distance at the start of a frame exceeds this, steps grow in "
+        "proportion [grid units]; 0: never.",
     )
-    far_factor: float = Field(3.0, ge=1, description="Largest growth of steps far away.")
+    far_factor: float = Field(
+        3.0, ge=1, description="Largest growth of steps beyond `far_distance`."
+    )
     line_search_trials: int = Field(5, ge=1, le=30)
     line_search_factor: float = Field(0.5, gt=0, lt=1)
     target_norm: Positive = Field(2500.0, description="Gradient norm above which steps shrink.")
-    smallest_scale: Fraction = Field(0.1, description="Lower bound of that shrinkage.")
+    smallest_scale: Fraction = Field(0.1, description="Lower bound of that shrinking factor.")
     beta1: float = Field(0.9, ge=0, lt=1)
     beta2: float = Field(0.999, ge=0, lt=1)
-    epsilon: Positive = Field(1e-3, description="Added to the root of the second moment.")
+    epsilon: Positive = Field(1e-3, description="Added to the square root of the second moment.")
     shared_counter: bool = Field(
         False, description="One step counter for all layers of a frame, as published."
     )
@@ -213,14 +223,14 @@ class JointOptimizerConfig(OptimizerConfig):
 class DescentConfig(Section):
     """Descent of the methods that move points directly, by AMSGrad (algorithm 8.2)."""
 
-    steps_per_frame: Count = Field(30, description="Optimiser steps that make up a frame.")
-    learning_rate: Positive = Field(0.01, description="Rate of AMSGrad [grid units].")
+    steps_per_frame: Count = Field(30, description="Optimiser steps per frame.")
+    learning_rate: Positive = Field(0.01, description="Learning rate of AMSGrad [grid units].")
     beta1: float = Field(0.9, ge=0, lt=1, description="Decay of the first moment.")
     beta2: float = Field(0.999, ge=0, lt=1, description="Decay of the second moment.")
     epsilon: Positive = Field(
         1e-4,
-        description="AMSGrad's epsilon. Gradients of single points are smaller than this one, "
-        "which slows the descent down to a fraction of the way; 1e-8 converges.",
+        description="Epsilon of AMSGrad. Gradients of single points are smaller than the default, "
+        "which stops the descent after a fraction of the way; 1e-8 converges.",
     )
 
 
@@ -228,17 +238,19 @@ class RegularizerConfig(Section):
     """Local regularisers of `dco` (algorithm 8.4)."""
 
     repulsion: NonNegative = Field(0.0, description="Weight of the repulsion of close points.")
-    smoothness: NonNegative = Field(0.0, description="Weight of the distance to neighbours' mean.")
+    smoothness: NonNegative = Field(
+        0.0, description="Weight of the distance to the mean of the neighbours."
+    )
     volume: NonNegative = Field(0.0, description="Weight of the growth of the bounding box.")
     neighbors: int = Field(12, ge=1, le=64, description="Neighbours listed for each point.")
     repulsion_neighbors: int = Field(
-        8, ge=1, le=64, description="How many of them, the nearest, repel."
+        8, ge=1, le=64, description="Number of these, the nearest ones, that repel."
     )
 
     @model_validator(mode="after")
     def _listed(self) -> RegularizerConfig:
         if self.repulsion_neighbors > self.neighbors:
-            raise ValueError("repulsion_neighbors is at most neighbors")
+            raise ValueError("repulsion_neighbors must not exceed neighbors")
         return self
 
 
@@ -257,9 +269,13 @@ class RestartingWatchdogConfig(WatchdogConfig):
 class StoppingConfig(Section):
     """Early stopping on s->t (algorithm 6.5)."""
 
-    patience: int = Field(0, ge=0, description="Frames without improvement; 0 never stops.")
+    patience: int = Field(
+        0, ge=0, description="Stop after this many frames without improvement; 0: never."
+    )
     earliest_frame: int = Field(30, ge=0)
-    tolerance: NonNegative = Field(1e-4, description="Smaller gains do not count [grid units].")
+    tolerance: NonNegative = Field(
+        1e-4, description="Smaller improvements do not count [grid units]."
+    )
 
 
 class SharedConfig(Section):
@@ -267,9 +283,7 @@ class SharedConfig(Section):
 
     preset: str = Field("custom", description="Name and version of the preset it started from.")
     frames: int = Field(40, ge=1, le=10000)
-    seed: int = Field(
-        42, ge=0, lt=2**32, description="Seed of every random choice, the jitter's included."
-    )
+    seed: int = Field(42, ge=0, lt=2**32, description="Random seed, also of the jitter.")
     precision: Literal["float32", "float64"] = "float32"
     f1_tau: Positive = Field(0.2, description="Threshold of F1 [grid units].")
     grid: GridConfig = GridConfig()

@@ -30,7 +30,8 @@ def require_libraries() -> None:
     """
     if missing := missing_libraries():
         raise DeviceError(
-            f"Taichi cannot be loaded without {', '.join(missing)}, which this system lacks.",
+            f"Taichi cannot be loaded without {', '.join(missing)}, which is missing on "
+            "this system.",
             f"Install it: {installation(missing)}.",
         )
 

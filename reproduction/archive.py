@@ -72,7 +72,9 @@ def _from_tar(path: Path, name: str) -> bytes:
 
 
 def _damaged(path: Path) -> MeshError:
-    return MeshError(f"{path.name} is not a whole ZIP or gzipped TAR archive.", "Fetch it again.")
+    return MeshError(
+        f"{path.name} is not a complete ZIP or gzipped TAR archive.", "Fetch it again."
+    )
 
 
 def _absent(path: Path, name: str) -> MeshError:
@@ -81,6 +83,6 @@ def _absent(path: Path, name: str) -> MeshError:
 
 def _too_large(path: Path, name: str) -> MeshError:
     return MeshError(
-        f"{path.name} unfolds to too much to look for {name} in it.",
+        f"{path.name} is too large when unpacked to look for {name} in it.",
         "Use the archive that its author made.",
     )

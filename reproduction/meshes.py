@@ -114,9 +114,9 @@ class MeshFolder:
             )
             raise MeshError(
                 f"There is no {', '.join(missing)} in the folder {self.path}.",
-                "Name the folder of the meshes with --meshes or MORPH_MESHES; or let --fetch or "
-                "morph shapes fetch put them there, made from their public originals "
-                f"({origins}).",
+                "Name the folder of the meshes with --meshes or MORPH_MESHES; "
+                "or use --fetch or morph shapes fetch to make them from their "
+                f"public originals ({origins}).",
             )
         for name in wanted:
             if name in ASSETS and (bounds := ASSETS[name].bounds):

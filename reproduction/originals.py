@@ -281,11 +281,12 @@ def _check(name: str, mesh: Mesh, facts: Facts) -> None:
     bounds = ASSETS[name].bounds if name in ASSETS else None
     if same and bounds is not None:
         same = np.allclose(mesh.bounds, bounds, rtol=0, atol=BOUNDS_TOLERANCE)
-        difference = "has another bounding box than the paper's"
+        difference = "has a different bounding box than the paper's"
     if not same:
         raise MeshError(
             f"{name}, made from this original, {difference}.",
-            "The original is another one than the paper's; name a place that has it with --from.",
+            "The original differs from that of the paper; use --from to name "
+            "a source that has the right one.",
         )
 
 

@@ -13,7 +13,7 @@ from chamfer_morph.schemas.jobs import JobState
 class Event(BaseModel):
     """Something that happened to a job; the same over SSE and by polling."""
 
-    id: int = Field(description="Ascending within a job; resume after it.")
+    id: int = Field(description="Ascending within a job; pass the last one to resume after it.")
     type: Literal["attempt", "stage", "frame", "watchdog", "problem", "state"]
     at: datetime
     data: dict[str, Any]

@@ -21,26 +21,27 @@ Pixels = Annotated[int, Field(ge=16, le=4096, multiple_of=2)]
 
 
 class CameraKey(Request):
-    """Where the eye is at a moment; it looks at the middle of what is shown."""
+    """A camera position at one time; the camera looks at the middle of what is shown."""
 
-    share: float = Field(ge=0, le=1, description="Of the video, from 0 to 1.")
+    share: float = Field(ge=0, le=1, description="Time as a share of the video, from 0 to 1.")
     azimuth: float = Field(
-        25.0, ge=-3600, le=3600, description="Turn about the upward axis [degrees]."
+        25.0, ge=-3600, le=3600, description="Rotation about the upward axis [degrees]."
     )
     elevation: float = Field(15.0, ge=-90, le=90, description="Height above the horizon [degrees].")
     zoom: float = Field(
-        1.0, ge=0.1, le=100, description="How many times larger than where all is in sight."
+        1.0,
+        ge=0.1,
+        le=100,
+        description="Magnification relative to the view where everything is in sight.",
     )
 
 
 class PictureOptions(Request):
-    """How a video or its pictures are drawn."""
+    """How a video or its pictures are rendered."""
 
-    width: Pixels = Field(960, description="Pixels, an even number.")
-    height: Pixels = Field(720, description="Pixels, an even number.")
-    look: Look | None = Field(
-        None, description="What things look to be made of; plain matter under one lamp if absent."
-    )
+    width: Pixels = Field(960, description="Pixels; an even number.")
+    height: Pixels = Field(720, description="Pixels; an even number.")
+    look: Look | None = Field(None, description="Material; default: plain, with simple lighting.")
     background: str = Field(
         "white",
         max_length=40,
@@ -48,12 +49,12 @@ class PictureOptions(Request):
     )
     camera: Literal["still", "turn", "orbit"] = Field(
         "still",
-        description="The eye rests, goes around once, or goes around, up and down on the way.",
+        description="The camera stays still, circles once, or circles while moving up and down.",
     )
     camera_keys: list[CameraKey] = Field(
         default_factory=list,
         max_length=100,
-        description="Places that the eye goes through smoothly, in place of that.",
+        description="Positions for a smooth camera path, instead of `camera`.",
     )
 
 
@@ -62,62 +63,69 @@ class ExportRequest(Request):
 
     format: str = Field(max_length=40, description="Name of a format, see /v1/exports/formats.")
     frames: list[int] | None = Field(
-        None, min_length=1, max_length=10000, description="0-based, negative from the end; or all."
+        None,
+        min_length=1,
+        max_length=10000,
+        description="Indices from 0, negative from the end; default: all.",
     )
-    surface: bool = Field(False, description="A surface around the particles in their place.")
+    surface: bool = Field(
+        False, description="A surface around the particles, instead of the particles."
+    )
     snap: bool = Field(
         False,
-        description="Draw the surface of the first and last frames to the meshes of both shapes.",
+        description="Snap the surface of the first and last frames onto the meshes of both shapes.",
     )
     tracked: bool = Field(
         False,
-        description="One mesh through all frames, whose triangles stay the same, animated in one "
-        "file; for formats that carry `tracked`.",
+        description="One mesh with the same triangles in all frames, animated in one file; for "
+        "formats that carry `tracked`.",
     )
     texture: int | None = Field(
         None,
         ge=64,
         le=4096,
-        description="Edge of the picture that holds the colours of a tracked GLB [pixels]; they "
-        "are at its corners by default.",
+        description="Width of a square texture with the colours of a tracked GLB [pixels]; "
+        "default: colours at the vertices.",
         exclude_if=_is_none,
     )
     fps: float | None = Field(
-        None, ge=1, le=120, description="Frames per second: 24, or 12 in videos, by default."
+        None, ge=1, le=120, description="Frames per second; default: 24, or 12 for videos."
     )
     seconds: float | None = Field(
         None,
         gt=0,
         le=3600,
-        description="Duration of what is played, with its rests: a video, a tracked GLB or HTML. "
-        "All frames are shown, and what lies between them; `fps` is 30 then by default.",
+        description="Playing time including pauses [s], for a video, a tracked GLB or HTML. All "
+        "frames are shown, with interpolation between them; the default of `fps` is then "
+        "30.",
         exclude_if=_is_none,
     )
     hold: float | None = Field(
-        None, ge=0, le=600, description="Rest at each shape [s].", exclude_if=_is_none
+        None, ge=0, le=600, description="Pause at each shape [s].", exclude_if=_is_none
     )
     easing: Easing | None = Field(
         None,
-        description="Pace between two shapes: `linear` is even; `in-out`, which is usual, slow at "
+        description="Pace between two shapes: `linear` is even; `in-out`, the default, is slow at "
         "both; `overshoot` goes past the end and returns.",
         exclude_if=_is_none,
     )
     repeat: Repeat | None = Field(
         None,
-        description="`loop` ends as it begins, for jobs that come back to their first shape; "
+        description="`loop` ends as it begins, for jobs that return to their first shape; "
         "`ping-pong` plays to the end and back.",
         exclude_if=_is_none,
     )
     picture: PictureOptions | None = Field(
-        None, description="How videos and pictures are drawn.", exclude_if=_is_none
+        None, description="How videos and pictures are rendered.", exclude_if=_is_none
     )
     units: Units = Field(
         "user",
-        description="Coordinates: `user`, of the source's file in the beginning and the target's "
-        "at the end; `source` or `target`, of that file all the time; or `grid` units.",
+        description="Coordinates: `user`, those of the source file at the start and of the target "
+        "file at the end; `source` or `target`, those of that file throughout; or `grid` "
+        "units.",
     )
     fields: list[str] = Field(
-        default_factory=list, max_length=20, description="To carry along, see /v1/fields."
+        default_factory=list, max_length=20, description="Fields to include, see /v1/fields."
     )
 
 
@@ -127,8 +135,8 @@ class Export(BaseModel):
     id: str
     job: str
     state: Literal["running", "ready", "failed"]
-    progress: float = Field(description="Share that is done, 0 to 1.")
-    problem: Problem | None = Field(description="Once it has failed.")
-    file_name: str | None = Field(description="Once it is ready.")
-    size: int | None = Field(description="Once it is ready [bytes].")
+    progress: float = Field(description="Completed share, from 0 to 1.")
+    problem: Problem | None = Field(description="Set once it has failed.")
+    file_name: str | None = Field(description="Set once it is ready.")
+    size: int | None = Field(description="Set once it is ready [bytes].")
     links: dict[str, str] = Field(description="`self`, and `file` once it is ready.")

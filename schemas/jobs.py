@@ -17,7 +17,7 @@ MOST_STOPS = 32
 
 
 class JobState(str, Enum):
-    """Where a job stands."""
+    """The state of a job."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -33,9 +33,9 @@ class JobState(str, Enum):
 
 
 class Outcome(BaseModel):
-    """What a succeeded job left behind."""
+    """The outcome of a succeeded job."""
 
-    sha256: Sha256 = Field(description="Digest of result.vtkhdf.")
+    sha256: Sha256 = Field(description="SHA-256 of result.vtkhdf.")
     size_bytes: int
     frames: int
     metrics: dict[str, float] = Field(description="Metrics of the last frame.")
@@ -45,36 +45,43 @@ class Outcome(BaseModel):
     peak_memory_mb: float = Field(description="Largest resident memory of the last attempt [MB].")
     provenance: dict[str, Any] = Field(
         default_factory=dict,
-        description="By which code, where, when and at which cost the last attempt computed. It "
-        "names no code if attempts by several codes made the frames.",
+        description="Code, machine, time and cost of the last attempt. It names no code if the "
+        "frames were computed by several versions of the code.",
     )
 
 
 StatesEvery = Annotated[int, Field(ge=0, le=10000)]
 STATES_EVERY = (
-    "Keep the full state after every so many frames, with which a fork can begin; 0 for none. One "
-    "takes some 100 bytes for each particle."
+    "Keep the full state after every N frames, from which a fork can start; 0 for none. "
+    "A state takes about 100 bytes per particle."
 )
 
 
 class JobOptions(Request):
-    """How to compute: what a job and all jobs of a sweep are asked with."""
+    """How to compute: options of a job, or of all jobs of a sweep."""
 
     preset: str = Field("fast", description="Configuration to start from, see /v1/presets.")
     overrides: dict[str, Any] = Field(
         default_factory=dict, description='Settings by dotted path, e.g. {"chamfer.weight": 5}.'
     )
     frames: int | None = Field(
-        None, ge=1, le=10000, description="Short for the override `frames`; of each leg."
+        None,
+        ge=1,
+        le=10000,
+        description="Short for the override `frames`, the number for each leg.",
     )
-    name: Name = Field("", description="For your own use.")
+    name: Name = Field("", description="A name of your choice.")
     device: Device = "auto"
-    priority: int = Field(100, ge=1, le=1000, description="Smaller runs earlier among your jobs.")
-    timeout_seconds: float | None = Field(None, gt=0, description="Stop after so long [s].")
+    priority: int = Field(
+        100, ge=1, le=1000, description="Among your jobs, lower numbers start first."
+    )
+    timeout_seconds: float | None = Field(
+        None, gt=0, description="Stop the job after this running time [s]."
+    )
     reuse: bool = Field(
         False,
         description="Succeed at once with the result of a job of yours that has succeeded with the "
-        "same shapes, settings and device, by the code in use.",
+        "same shapes, settings, device and code.",
     )
     states_every: StatesEvery = Field(0, description=STATES_EVERY)
 
@@ -82,34 +89,37 @@ class JobOptions(Request):
 class JobRequest(JobOptions):
     """A morph to compute."""
 
-    source: Shape = Field(description="Where the particles come from.")
+    source: Shape = Field(description="The shape to start from.")
     via: list[Shape] = Field(
         [],
         max_length=MOST_STOPS,
-        description="Shapes that they become on the way, in this order. The way to each is a leg "
-        "of `frames` frames, which begins as the last one has ended.",
+        description="Shapes to pass through, in this order. The way to each is a leg of `frames` "
+        "frames, which starts where the previous one ended.",
         exclude_if=lambda via: not via,
     )
-    target: Shape = Field(description="What they are to become.")
+    target: Shape = Field(description="The shape to morph into.")
     method: str | None = Field(None, description="Short for the override `method`.")
     seed: Seed | None = Field(None, description="Short for the override `seed`.")
 
 
 class ForkRequest(Request):
-    """A job that goes on from a frame of another with other settings."""
+    """A job that continues from a frame of another with other settings."""
 
     frame: int | None = Field(
         None,
         ge=0,
-        description="Index of the last frame that both have in common; by default the last one "
-        "after which there is a full state.",
+        description="Index of the last frame to keep; default: the last one with a full state.",
     )
     overrides: dict[str, Any] = Field(
-        default_factory=dict, description="Settings by dotted path, in place of the job's."
+        default_factory=dict, description="Settings to change, by dotted path."
     )
-    name: Name = Field("", description="For your own use.")
-    priority: int = Field(100, ge=1, le=1000, description="Smaller runs earlier among your jobs.")
-    timeout_seconds: float | None = Field(None, gt=0, description="Stop after so long [s].")
+    name: Name = Field("", description="A name of your choice.")
+    priority: int = Field(
+        100, ge=1, le=1000, description="Among your jobs, lower numbers start first."
+    )
+    timeout_seconds: float | None = Field(
+        None, gt=0, description="Stop the job after this running time [s]."
+    )
     states_every: StatesEvery = Field(0, description=STATES_EVERY)
 
 
@@ -124,17 +134,17 @@ class Progress(BaseModel):
     """How far a job has come."""
 
     frame: int = Field(description="Finished frames.")
-    frames: int = Field(description="Frames asked for, of all legs.")
+    frames: int = Field(description="Frames requested, over all legs.")
     attempt: int = Field(description="1 for the first attempt.")
     metrics: dict[str, float] = Field(
-        default_factory=dict, description="Of the last finished frame."
+        default_factory=dict, description="Metrics of the last finished frame."
     )
-    seconds_left: float | None = Field(None, description="Estimate of the time left [s].")
+    seconds_left: float | None = Field(None, description="Estimated time left [s].")
     stage: JobStage | None = Field(
         None,
         description="Before the first frame of an attempt or a leg: `filling` the shapes with "
-        "particles, `preparing` the method, `computing` the frame. From `preparing` on the source "
-        "is there.",
+        "particles, `preparing` the method, `computing` the frame. The source is "
+        "available from `preparing` on.",
     )
 
 
@@ -142,17 +152,18 @@ Matrix = list[list[float]]
 
 
 class JobPlacement(BaseModel):
-    """Where a job puts its shapes."""
+    """How a job places its shapes."""
 
     up: Up = Field(description="The axis of the grid that points upwards.")
     source: Matrix = Field(
-        description="The source's coordinates to grid units, 4 x 4; acts on columns."
+        description="Matrix from the source's coordinates to grid units, 4 x 4; acts on column "
+        "vectors."
     )
-    target: Matrix = Field(description="Likewise the target's.")
+    target: Matrix = Field(description="Likewise for the target.")
 
 
 class Job(BaseModel):
-    """A job as it stands."""
+    """A job and its current state."""
 
     id: str
     name: str
@@ -164,7 +175,7 @@ class Job(BaseModel):
     via_names: list[str] = []
     target_name: str
     placement: JobPlacement | None = Field(
-        None, description="Where it puts them; null for jobs of older versions."
+        None, description="How its shapes are placed; null for jobs of older versions."
     )
     method: str
     preset: str
@@ -178,15 +189,17 @@ class Job(BaseModel):
     finished_at: datetime | None
     progress: Progress
     queue_position: int | None = Field(
-        description="Jobs to be started before it; null unless queued, and while paused."
+        description="Jobs to be started before it; null if it is not queued or is paused."
     )
-    forked_from: ForkOrigin | None = Field(None, description="Of a fork, where it began.")
+    forked_from: ForkOrigin | None = Field(None, description="For forks, where it started.")
     reused_from: str | None = Field(
-        None, description="The job that has computed its result, if it has not itself."
+        None, description="The job that computed its result, if another one did."
     )
-    paused: bool = Field(False, description="Whether it waits until its owner ends a pause.")
-    outcome: Outcome | None = Field(description="Once it has succeeded.")
-    problem: Problem | None = Field(description="Once it has failed or timed out.")
+    paused: bool = Field(
+        False, description="Whether it is waiting because its owner has paused the queue."
+    )
+    outcome: Outcome | None = Field(description="Set once it has succeeded.")
+    problem: Problem | None = Field(description="Set once it has failed or timed out.")
 
 
 class JobPage(BaseModel):

@@ -25,6 +25,6 @@ class Key(BaseModel):
 
 
 class NewKey(Key):
-    """A key with its secret, shown this once."""
+    """A key with its secret, shown only once."""
 
     secret: str

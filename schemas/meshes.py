@@ -17,7 +17,7 @@ class Mesh(BaseModel):
     name: str
     size_bytes: int
     created_at: datetime
-    report: dict[str, Any] = Field(description="Ingest report, as of `morph inspect --json`.")
+    report: dict[str, Any] = Field(description="Ingest report, as from `morph inspect --json`.")
 
 
 class MeshPage(BaseModel):

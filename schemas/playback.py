@@ -6,12 +6,12 @@ from pydantic import BaseModel, Field
 
 
 class Playback(BaseModel):
-    """What a player shows when."""
+    """Which frame a player shows at each time."""
 
-    fps: float = Field(description="Pictures per second.")
-    repeat: bool = Field(description="Whether it goes on from its beginning.")
+    fps: float = Field(description="Frames per second.")
+    repeat: bool = Field(description="Whether it restarts at the end.")
     frames: list[float] = Field(
-        description="The frame of each picture, or the place between two: 2.5 is half-way from "
-        "frame 2 to frame 3. The first stands for the source, and the end of a leg for what lies "
-        "beyond it."
+        description="The frame to show at each instant, or the position between two: 2.5 is "
+        "half-way from frame 2 to frame 3. The first frame stands for the source, and the last "
+        "frame of a leg for anything beyond it."
     )

@@ -23,8 +23,8 @@ class ProblemDocument(BaseModel):
     )
     title: str = Field(description="The kind of problem in words.")
     status: int
-    detail: str = Field(description="What is wrong here.")
+    detail: str = Field(description="What went wrong.")
     remedy: str = Field("", description="What to do about it.")
     errors: list[dict[str, Any]] = Field(
-        default_factory=list, description="Faults of single fields."
+        default_factory=list, description="Errors in individual fields."
     )

@@ -6,9 +6,9 @@ from pydantic import BaseModel, Field
 
 
 class QueueStatus(BaseModel):
-    """How the jobs of a key wait."""
+    """The queue of a key."""
 
     owner: str = Field(description="Name of the key; empty without keys.")
-    paused: bool = Field(description="Whether no more of them are started.")
+    paused: bool = Field(description="Whether starting jobs is paused.")
     queued: int
     running: int

@@ -16,7 +16,9 @@ class ShareLink(BaseModel):
 
 
 class NewShareLink(ShareLink):
-    """A share link with its secret, shown this once."""
+    """A share link with its secret, shown only once."""
 
-    secret: str = Field(description="Reads the job as a bearer key.")
-    path: str = Field(description="Where the page shows the job, below the service's address.")
+    secret: str = Field(description="Gives read access to the job when sent as a bearer key.")
+    path: str = Field(
+        description="Path of the page that shows the job, relative to the address of the service."
+    )

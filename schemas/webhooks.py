@@ -21,19 +21,19 @@ class WebhookRequest(Request):
         min_length=1,
         max_length=2000,
         pattern=r"^[\x21-\x7e]+$",
-        description="Where to send the messages, http or https.",
+        description="URL to send the messages to, http or https.",
     )
     states: list[Annotated[JobState, Field(strict=False)]] = Field(
         default=[state for state in JobState if state.finished],
         min_length=1,
-        description="States of your jobs to be told of.",
+        description="States of your jobs to be notified of.",
     )
     secret: str | None = Field(
         None,
         max_length=200,
         pattern=r"^whsec_[A-Za-z0-9+/]+=*$",
-        description="What messages are signed with: `whsec_` and 24 to 64 bytes in base64. The "
-        "service makes one if none is given.",
+        description="Secret that messages are signed with: `whsec_` and 24 to 64 bytes in base64. "
+        "Default: the service makes one.",
     )
 
 
@@ -43,12 +43,12 @@ class Webhook(BaseModel):
     id: str
     url: str
     states: list[JobState]
-    owner: str = Field(description="Name of the key of whose jobs it tells; empty without keys.")
+    owner: str = Field(description="Name of the key whose jobs it reports; empty without keys.")
     created_at: datetime
 
 
 class NewWebhook(Webhook):
-    """A webhook with its secret, shown this once."""
+    """A webhook with its secret, shown only once."""
 
     secret: str
 
@@ -57,20 +57,20 @@ class DeliveryAttempt(BaseModel):
     """One attempt to deliver a message."""
 
     at: datetime
-    seconds: float = Field(description="What it took [s].")
-    status: int | None = Field(description="HTTP status of the answer, if one came.")
+    seconds: float = Field(description="Duration [s].")
+    status: int | None = Field(description="HTTP status of the response, if there was one.")
     problem: str = Field(description="Why it failed; empty if it was delivered.")
 
 
 class Delivery(BaseModel):
-    """A message to a webhook, and what became of it."""
+    """A message to a webhook, and its delivery."""
 
     id: str = Field(description="The `webhook-id` of the message, the same in every attempt.")
     type: str = Field(description="`job.` and the new state of the job, or `test`.")
     job: str | None
     created_at: datetime = Field(description="When the state changed.")
-    state: DeliveryState = Field(description="`failed` means given up.")
-    next_attempt_at: datetime | None = Field(description="While it is pending.")
+    state: DeliveryState = Field(description="`failed` means that all attempts failed.")
+    next_attempt_at: datetime | None = Field(description="Set while it is pending.")
     attempts: list[DeliveryAttempt]
 
 

@@ -11,4 +11,4 @@ class WorkerStatus(BaseModel):
     id: str = Field(description="host-slotN")
     alive: bool
     paused: bool
-    job: str | None = Field(description="What it computes now.")
+    job: str | None = Field(description="The job that it is computing.")

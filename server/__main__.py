@@ -40,16 +40,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m chamfer_morph.server", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     api = commands.add_parser("api", help="answer requests")
-    api.add_argument("--fd", type=int, help="listening socket to inherit")
+    api.add_argument("--fd", type=int, help="file descriptor of the listening socket to use")
     commands.add_parser("serve", help="API, workers and janitor on this machine")
-    commands.add_parser("check", help="create the tables, and refuse what must not start")
-    commands.add_parser("openapi", help="print the contract of the API")
+    commands.add_parser("check", help="create the tables and check the configuration")
+    commands.add_parser("openapi", help="print the OpenAPI description of the API")
     keys = commands.add_parser("keys", help="make and revoke API keys")
     actions = keys.add_subparsers(dest="action", required=True)
     add = actions.add_parser("add", help="make a key and print its secret")
     add.add_argument("name")
     add.add_argument(
-        "--scope", action="append", choices=["read", "submit", "admin"], help="submit by default"
+        "--scope", action="append", choices=["read", "submit", "admin"], help="default: submit"
     )
     actions.add_parser("list", help="print the keys as JSON")
     remove = actions.add_parser("remove", help="revoke a key")
@@ -134,11 +134,14 @@ def _manage_keys(arguments: argparse.Namespace, api_keys: ApiKeyStore) -> int:
     try:
         request = KeyRequest(name=arguments.name, scopes=arguments.scope or ["read", "submit"])
     except ValidationError:
-        sys.stderr.write("A key's name has up to 64 letters, digits, dots, dashes, underscores.\n")
+        sys.stderr.write(
+            "The name of a key consists of at most 64 letters, digits, dots, dashes and "
+            "underscores.\n"
+        )
         return BAD_INPUT
     made = api_keys.add(request.name, request.scopes)
     if made is None:
-        sys.stderr.write(f"There is a key {request.name!r} already.\n")
+        sys.stderr.write(f"A key {request.name!r} already exists.\n")
         return BAD_INPUT
     log_command("makeKey", f"/v1/keys/{request.name}")
     sys.stdout.write(f"{made[1]}{os.linesep}")

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Morph one 3D shape into another by physics: upload meshes, submit jobs, watch them, fetch results.
 
-Every error is an RFC 9457 problem with the cause in `detail` and what to do about it in `remedy`.
+Every error is an RFC 9457 problem with the cause in `detail` and how to fix it in `remedy`.
 """
 
 ROUTERS = (

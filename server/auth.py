@@ -33,8 +33,8 @@ ANONYMOUS = Caller("", "admin")
 
 BEARER = HTTPBearer(
     scheme_name="key",
-    description="A key made by `POST /v1/keys`. None is needed from the same machine as long as "
-    "there are no keys. The secret of a share link reads one job.",
+    description="A key made by `POST /v1/keys`. Requests from the same machine need none as long "
+    "as there are no keys. The secret of a share link gives read access to one job.",
     auto_error=False,
 )
 
@@ -59,9 +59,9 @@ def check_keys(settings: Settings, api_keys: ApiKeyStore) -> None:
     """
     if not is_loopback(settings.host) and not api_keys.callers():
         raise ConfigError(
-            f"Without keys everybody who reaches {settings.host} could use this service.",
-            "Set MORPH_ADMIN_KEY or MORPH_ADMIN_KEY_FILE, make one with "
-            "`python -m chamfer_morph.server keys add NAME --scope admin`, or listen on 127.0.0.1.",
+            f"Without keys, anyone who can reach {settings.host} could use this service.",
+            "Set MORPH_ADMIN_KEY or MORPH_ADMIN_KEY_FILE, make a key with `python -m "
+            "chamfer_morph.server keys add NAME --scope admin`, or listen on 127.0.0.1.",
         )
 
 
@@ -99,7 +99,7 @@ class Authenticator:
         if secret is not None:
             return self._find(secret)
         if self._callers or not self._open:
-            raise _unauthorized("This needs a key.")
+            raise _unauthorized("This requires a key.")
         return ANONYMOUS
 
     async def still_valid(self, callers: Collection[Caller]) -> set[Caller]:
@@ -138,7 +138,7 @@ class Authenticator:
         found = await anyio.to_thread.run_sync(self._share_links.callers, [digest])
         if digest not in found:
             raise _unauthorized(
-                "This share link is unknown or revoked.", "Ask whoever sent it for another."
+                "This share link is unknown or revoked.", "Ask the sender for a new one."
             )
         return found[digest]
 
@@ -166,19 +166,19 @@ class RequireScope:
             ProblemError: 401 or 403.
         """
         if key is None and "authorization" in request.headers:
-            raise _unauthorized("The Authorization header holds no bearer key.")
+            raise _unauthorized("The Authorization header contains no bearer key.")
         authenticator: Authenticator = request.app.state.context.authenticator
         found = await authenticator.authenticate(key.credentials if key else None)
         request.state.caller = found
         if found.shared is not None and not self.shared:
             raise ProblemError(
-                403, "A share link shows one job, and nothing else.", "Use a key for this."
+                403, "A share link gives access to one job only.", "Use a key for this."
             )
         if not found.has_scope(self.scope):
             raise ProblemError(
                 403,
                 f"The key {found.name!r} lacks the scope {self.scope}.",
-                "Use another key, or ask whoever runs the service for one.",
+                "Use another key, or ask an administrator of the service for one.",
             )
         return found
 

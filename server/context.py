@@ -140,7 +140,7 @@ class ServerContext:
             try:
                 await anyio.to_thread.run_sync(self._delete_abandoned_uploads)
             except Exception:  # the disk refuses: try again
-                log.exception("uploads that have broken off could not be deleted")
+                log.exception("interrupted uploads could not be deleted")
             await anyio.sleep(ABANDONED_SECONDS)
 
     def _delete_abandoned_uploads(self) -> None:

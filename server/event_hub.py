@@ -216,10 +216,10 @@ class EventHub:
             mine = self.subscribers < self._limit
             raise ProblemError(
                 429,
-                f"{self._limit_per_key} event streams of this key are open already."
+                f"This key already has {self._limit_per_key} open event streams."
                 if mine
-                else f"{self._limit} event streams are open already.",
-                "Ask for the events without Accept: text/event-stream, every few seconds.",
+                else f"{self._limit} event streams are already open.",
+                "Poll the events without Accept: text/event-stream, every few seconds.",
                 headers={"Retry-After": "10"},
             )
 
@@ -242,7 +242,7 @@ class EventHub:
                     await asyncio.sleep(LOOK_SECONDS)
                     await self._read(self._read_logs, feeds)
             except Exception:
-                _LOG.warning("events cannot be read now", exc_info=True)
+                _LOG.warning("events cannot be read at the moment", exc_info=True)
                 await asyncio.sleep(1)
 
     async def _read(
@@ -292,7 +292,7 @@ class EventHub:
             self._storage.fetch(job_id, log_only=True)
         except (OSError, StoreUnavailableError) as error:
             self._away_until = time.monotonic() + AWAY_SECONDS
-            _LOG.warning("events cannot be fetched now: %s", error)
+            _LOG.warning("events cannot be fetched at the moment: %s", error)
 
 
 def encode_event(event: Event) -> bytes:

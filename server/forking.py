@@ -58,7 +58,7 @@ def fork(
         context.quotas.invalidate(caller.name)
     record = known or context.queue.get(fork_id)
     if record is None:
-        raise ProblemError(409, "The job has been deleted meanwhile.", "Fork again.")
+        raise ProblemError(409, "The job has been deleted in the meantime.", "Fork again.")
     if record.attributes.get("body") != body:
         raise idempotency_conflict()
     return record, known is None

@@ -29,7 +29,7 @@ def listen(settings: Settings) -> socket.socket:
     except OSError as error:
         raise ConfigError(
             f"Cannot listen on {settings.host} port {settings.port} ({error.strerror or error}).",
-            "Choose another with MORPH_PORT or MORPH_HOST; MORPH_PORT=0 takes a free port.",
+            "Choose another with MORPH_PORT or MORPH_HOST; MORPH_PORT=0 picks a free port.",
         ) from error
     return listener
 

@@ -63,8 +63,8 @@ class Incoming:
             self.close()  # at once, so that the others may go on
             raise _refusal(
                 413,
-                "The meshes, jobs and uploads of this key fill all the disk that it may fill.",
-                "Delete jobs or meshes that are not needed any more.",
+                "The meshes, jobs and uploads of this key use up its disk quota.",
+                "Delete jobs or meshes that are no longer needed.",
             )
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class Quotas:
         """
         self.check_disk(owner, needed_bytes)
         limit = self._settings.queued_jobs_per_key
-        cause = "This key has {there} unfinished jobs, and may have {limit}."
+        cause = "This key has {there} unfinished jobs; the limit is {limit}."
         remedy = "Wait for some to finish, or cancel them."
         there = partial(self._queue.unfinished, owner)
         with self._letting_in("jobs", owner, adding, limit, there, cause, remedy) as reserved:
@@ -134,8 +134,8 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
-        cause = "This key has {there} webhooks, and may have {limit}."
-        remedy = "Delete those that are not needed any more."
+        cause = "This key has {there} webhooks; the limit is {limit}."
+        remedy = "Delete those that are no longer needed."
         limit = self._settings.webhooks_per_key
         return self._letting_in("webhooks", owner, 1, limit, count, cause, remedy)
 
@@ -151,8 +151,8 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
-        cause = "This job has {there} share links, and may have {limit}."
-        remedy = "Revoke those that are not needed any more."
+        cause = "This job has {there} share links; the limit is {limit}."
+        remedy = "Revoke those that are no longer needed."
         return self._letting_in("share links", job_id, 1, SHARE_LINKS, count, cause, remedy)
 
     def letting_in_test(
@@ -167,8 +167,8 @@ class Quotas:
         Raises:
             ProblemError: 429.
         """
-        cause = "{there} tests of this webhook wait, as many as may."
-        remedy = "Wait until they are delivered or given up."
+        cause = "{there} tests of this webhook are waiting, the most that are allowed."
+        remedy = "Wait until they are delivered or have failed."
         return self._letting_in("tests", webhook_id, 1, PENDING_TESTS, count, cause, remedy)
 
     @contextmanager
@@ -201,8 +201,8 @@ class Quotas:
         """
         if reserved.refused:
             limit = self._settings.meshes_per_key
-            cause = f"This key keeps {reserved.there} meshes, and may keep {limit}."
-            raise _refusal(429, cause, "Delete those that are not needed any more.")
+            cause = f"This key has {reserved.there} meshes; the limit is {limit}."
+            raise _refusal(429, cause, "Delete those that are no longer needed.")
 
     @contextmanager
     def storing_mesh(self, owner: str, size_bytes: int) -> Iterator[None]:
@@ -243,10 +243,10 @@ class Quotas:
         if used + needed_bytes > limit:
             raise _refusal(
                 413,
-                f"This would fill about {needed_bytes / 1e9:,.1f} GB of disk, and this key may "
-                f"fill {(limit - used) / 1e9:,.1f} GB more.",
-                "Ask for fewer `frames` or states (`states_every`), or for coarser particles; or "
-                "delete jobs or meshes that are not needed any more.",
+                f"This would take about {needed_bytes / 1e9:,.1f} GB of disk, and this "
+                f"key has {(limit - used) / 1e9:,.1f} GB left.",
+                "Request fewer `frames`, states (`states_every`) or particles; or delete "
+                "jobs or meshes that are no longer needed.",
             )
 
     def available_bytes(self, owner: str) -> int:
@@ -304,8 +304,8 @@ class Quotas:
 
 def _disk_is_full(used: int, limit: int) -> ProblemError:
     gigabytes, most = f"{used / 1e9:.1f} GB", f"{limit / 1e9:.1f} GB"
-    cause = f"The meshes and jobs of this key fill {gigabytes}, and may fill {most}."
-    return _refusal(413, cause, "Delete jobs or meshes that are not needed any more.")
+    cause = f"The meshes and jobs of this key take {gigabytes} of disk; the limit is {most}."
+    return _refusal(413, cause, "Delete jobs or meshes that are no longer needed.")
 
 
 def _refusal(status: int, cause: str, remedy: str) -> ProblemError:

@@ -144,7 +144,7 @@ class SingleFlight(Generic[Result]):
         try:
             async with self._turn(flight.owner):
                 if not await flight.is_wanted():
-                    raise ProblemError(503, "Nobody has waited for it.", "Ask for it again.")
+                    raise ProblemError(503, "Nobody was waiting for it.", "Request it again.")
                 if flight.cancelled:
                     raise self._ended()
                 result = await anyio.to_thread.run_sync(compute, flight, limiter=self._threads)
@@ -164,7 +164,7 @@ class SingleFlight(Generic[Result]):
         """What to tell those who wait for something that is cancelled."""
         if self._closing:
             return unavailable("The service is stopping.")
-        return ProblemError(404, "It has been deleted meanwhile.", "Ask for it again.")
+        return ProblemError(404, "It has been deleted in the meantime.", "Request it again.")
 
     def _remember(self, key: Key, result: Result) -> None:
         if not self._cache_bytes:

@@ -47,7 +47,9 @@ def find_solid(
         )
     report = context.storage.mesh_report(shape.mesh)
     if report is None:
-        raise MeshError(f"The mesh {row.name} has been deleted meanwhile.", "Upload it again.")
+        raise MeshError(
+            f"The mesh {row.name} has been deleted in the meantime.", "Upload it again."
+        )
     up = report["up"] if "up" in report else BY_FORMAT.get(Path(row.name).suffix[1:].lower())
     return Solid(report["volume"], np.array(report["bounds"], np.float64), up=up), row.name
 

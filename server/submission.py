@@ -172,8 +172,8 @@ def check_memory(needed_mb: float, settings: Settings) -> None:
     largest = settings.memory_per_job / 1e6
     if needed_mb > largest:
         raise ResourceError(
-            f"The job needs about {needed_mb:,.0f} MB of memory, and jobs here may have "
-            f"{largest:,.0f} MB.",
+            f"The job needs about {needed_mb:,.0f} MB of memory; the limit is "
+            f"{largest:,.0f} MB per job.",
             "Lower `sampling.points_per_cell_edge`, or raise `grid.dx`.",
         )
 
@@ -192,9 +192,9 @@ def configure(request: JobRequest) -> MorphConfig:
     twice = short.keys() & request.overrides.keys()
     if twice:
         name = min(twice)
-        raise ConfigError(f"{name} is given twice.", f"Leave it out of the overrides, or {name}.")
+        raise ConfigError(f"{name} is given twice.", f"Omit it from the overrides, or omit {name}.")
     if "preset" in request.overrides:
-        raise ConfigError("The preset is no override.", "Name it in the field `preset`.")
+        raise ConfigError("The preset is not an override.", "Name it in the field `preset`.")
     config = presets.configure(request.preset, {**request.overrides, **short})
     try:
         json.dumps(config.model_dump(mode="json"), allow_nan=False)
@@ -237,7 +237,7 @@ def submit(
         take_over(equal, job_id, context.queue, context.storage)
     record = context.queue.get(job_id)
     if record is None:
-        raise ProblemError(409, "The job has been deleted meanwhile.", "Submit it again.")
+        raise ProblemError(409, "The job has been deleted in the meantime.", "Submit it again.")
     if not new and record.attributes.get("body") != submission.attributes["body"]:
         raise idempotency_conflict()
     return record, new
@@ -274,8 +274,8 @@ def idempotency_conflict() -> ProblemError:
     """The same idempotency key came with another request."""
     return ProblemError(
         422,
-        "This Idempotency-Key has been used for another request.",
-        "Make a new key for each new request.",
+        "This Idempotency-Key has already been used for another request.",
+        "Use a new key for each new request.",
     )
 
 
@@ -288,15 +288,15 @@ def _particle_count(name: str, solid: Solid, to_grid: Similarity, config: MorphC
     reach = float(np.abs(to_grid.box(solid.bounds)).max())
     if reach > config.domain:
         raise MeshError(
-            f"{name} reaches {reach:.4g} grid units from the centre, and the domain ends at "
-            f"{config.domain:g}.",
+            f"{name} reaches {reach:.4g} grid units from the centre, beyond the domain, "
+            f"which ends at {config.domain:g}.",
             FIT_REMEDY,
         )
     volume = solid.volume * to_grid.scale**3
     count = round(volume / config.spacing**3)
     if count < MINIMUM_PARTICLES:
         raise MeshError(
-            f"{name} has room for about {count} particles, fewer than {MINIMUM_PARTICLES}.",
+            f"{name} has room for only about {count} particles, fewer than {MINIMUM_PARTICLES}.",
             f"Raise `sampling.points_per_cell_edge`, or lower `grid.dx`. {FIT_REMEDY}",
         )
     return count

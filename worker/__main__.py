@@ -53,7 +53,9 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("janitor", help="adopt jobs of dead workers, delete expired ones")
     adoption = commands.add_parser("adopt", help="queue the jobs of a dead worker again")
     adoption.add_argument("executor")
-    alive = commands.add_parser("alive", help="fail unless such a process of this machine gets on")
+    alive = commands.add_parser(
+        "alive", help="fail unless such a process on this machine is alive and responsive"
+    )
     alive.add_argument("process", choices=["worker", "janitor"])
     alive.add_argument("--slot", type=int, default=0, help="number of the worker's slot")
     return parser
@@ -63,7 +65,7 @@ def _run(arguments: argparse.Namespace, settings: Settings) -> None:
     if arguments.command == "alive":
         name = executor_id(arguments.slot) if arguments.process == "worker" else janitor_id()
         if not liveness.gets_on(settings, name):
-            sys.exit(f"The {arguments.process} does not get on.")
+            sys.exit(f"The {arguments.process} is not running or not responding.")
         return
     from chamfer_morph.worker.dbos_adapter import check_reachable
     from chamfer_morph.worker.layout import check_layout

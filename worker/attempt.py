@@ -138,8 +138,8 @@ def _hang(settings: Settings) -> Problem:
 
 def _too_large(engine: Engine, largest: int) -> Problem:
     return Problem(
-        cause=f"The engine took {engine.peak_memory / 1e6:,.0f} MB of memory, where jobs may have "
-        f"{largest / 1e6:,.0f} MB, and was stopped.",
+        cause=f"The engine used {engine.peak_memory / 1e6:,.0f} MB of memory, more than the "
+        f"limit of {largest / 1e6:,.0f} MB per job, and was stopped.",
         remedy=LESS_MEMORY,
         kind="resources",
     )
@@ -152,9 +152,9 @@ def _unfinished_bytes(job_dir: Path) -> int:
 
 def _too_much_disk(filled: int, settings: Settings) -> Problem:
     return Problem(
-        cause=f"The job's frames and states fill {filled / 1e9:,.1f} GB of disk, and all that its "
-        f"key keeps may fill {settings.disk_bytes_per_key / 1e9:,.1f} GB.",
-        remedy="Ask for fewer `frames`, states (`states_every`) or particles, or raise "
+        cause=f"The job's frames and states take {filled / 1e9:,.1f} GB of disk, and with them "
+        f"its key exceeds its quota of {settings.disk_bytes_per_key / 1e9:,.1f} GB.",
+        remedy="Request fewer `frames`, states (`states_every`) or particles, or raise "
         "MORPH_DISK_BYTES_PER_KEY and resume the job.",
         kind="resources",
     )
@@ -177,7 +177,7 @@ def _crash(status: int, engine: Engine, log: Path) -> Problem:
         how = f"The engine ended with exit status {status}."
     last = _last_line(log)
     return Problem(
-        cause=f"{how} Its last words: {last}" if last else how,
+        cause=f"{how} Its last output: {last}" if last else how,
         remedy="Read the job's log; if it fails again, report it with the log.",
         kind="crash",
     )

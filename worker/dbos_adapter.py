@@ -296,7 +296,7 @@ def check_reachable(settings: Settings) -> None:
         reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
         raise ConfigError(
             f"The database cannot be used: {reason}.",
-            "Start it, or mend MORPH_DATABASE_URL or MORPH_DATA_DIR.",
+            "Start it, or correct MORPH_DATABASE_URL or MORPH_DATA_DIR.",
         ) from error
     finally:
         engine.dispose()
@@ -320,7 +320,7 @@ def is_disk_full(error: BaseException | None) -> bool:
 
 def _end_if_refused(context: sa.ExceptionContext) -> None:
     if _is_refusal(context.sqlalchemy_exception):
-        log.error("the database cannot be used (%s); this worker ends", context.original_exception)
+        log.error("the database cannot be used (%s); this worker exits", context.original_exception)
         os._exit(ExitCode.DATABASE_REFUSES)
 
 
@@ -353,4 +353,4 @@ def _prepare_sqlite(connection: sqlite3.Connection, _: object) -> None:
 
 def _changed(how: str) -> RuntimeError:
     version = metadata.version("dbos")
-    return RuntimeError(f"DBOS {version} keeps its workflows otherwise than expected: {how}.")
+    return RuntimeError(f"DBOS {version} stores its workflows in an unexpected way: {how}.")

@@ -96,7 +96,7 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any], log_format: str
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
-        cause = "The engine got no more memory; jobs may have {:,.0f} MB."
+        cause = "The engine ran out of memory; the limit is {:,.0f} MB per job."
         problem = Problem(
             cause=cause.format(job["memory_bytes"] / 1e6),
             remedy=LESS_MEMORY,
@@ -124,7 +124,7 @@ def _compute(storage: Storage, job_id: str, spec: JobSpec, attempt: int, threads
         return _outcome(out, cpu)
     if record is None and spec.fork:
         raise ResultError(
-            "The frames that the job was to begin with are gone or damaged.",
+            "The frames that the job should start with are missing or damaged.",
             f"Fork job {spec.fork.job} again.",
         )
     earlier = log.read(limit=10**9)

@@ -65,7 +65,7 @@ def adopt_orphans(
         try:
             if executor not in queue.running():  # another janitor came first
                 continue
-            log.warning("worker %s is gone; its jobs go back into the queue", executor)
+            log.warning("worker %s is gone; its jobs are put back into the queue", executor)
             adopt(executor)
             dead.append(executor)
         finally:
@@ -176,10 +176,12 @@ def run(settings: Settings) -> None:
             if time.monotonic() > next_deletion:
                 steady = clock.is_steady()
                 if not steady:
-                    log.warning("the clock has jumped; for a day nothing is deleted for its age")
+                    log.warning(
+                        "the clock has jumped; nothing will be deleted for its age for a day"
+                    )
                 delete_old(settings, queue, storage, sizes, deletions, webhooks, steady=steady)
                 absent_slots.forget()
                 next_deletion = time.monotonic() + RETENTION_SECONDS
         except Exception:  # the database is away, or an adoption failed: try again
-            log.exception("the janitor has to try again")
+            log.exception("the janitor failed and will try again")
         time.sleep(settings.adoption_seconds)

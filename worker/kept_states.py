@@ -59,9 +59,9 @@ def find_state(storage: Storage, job_id: str, frame: int | None) -> Checkpoint:
         return read_checkpoint(storage.state_path(job_id, wanted))
     there = ", ".join(map(str, sorted({*kept, *([last.frame] if last else [])})))
     raise ResultError(
-        f"The job has no full state after frame {frame}; it has after {there}."
+        f"The job has no full state after frame {frame}, only after {there}."
         if there
-        else "The job has kept no full state that a fork could begin with.",
+        else "The job has no full state from which a fork could start.",
         "Fork at one of these." if there else "Submit it again with `states_every`.",
     )
 

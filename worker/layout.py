@@ -41,9 +41,9 @@ def check_layout(settings: Settings) -> None:
         for where, found in (("The database", stored), (f"{settings.data_dir}", _read(file))):
             if found > LAYOUT:
                 raise ConfigError(
-                    f"{where} is of a newer version of morph: it has layout {found}, and this "
-                    f"version knows {LAYOUT}.",
-                    "Install the newer version here, too, or restore a backup of before.",
+                    f"{where} was written by a newer version of morph: it has layout "
+                    f"{found}, and this version supports {LAYOUT}.",
+                    "Install the newer version here, too, or restore an earlier backup.",
                 )
         if stored < LAYOUT:
             with suppress(sa.exc.IntegrityError), engine.begin() as connection:

@@ -64,4 +64,4 @@ async def _publish_always(storage: Storage, job_id: str) -> None:
         try:
             await patiently(publish, float("inf"))
         except OSError as error:  # the engine finds that, too
-            _LOG.warning("job %s cannot be published now: %s", job_id, error)
+            _LOG.warning("job %s cannot be published at the moment: %s", job_id, error)

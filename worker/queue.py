@@ -64,7 +64,7 @@ PAGE = 1000
 
 UNREADABLE = Problem(
     cause="What the job has reported cannot be read.",
-    remedy="Resume it: what it has computed is reported again.",
+    remedy="Resume it: its finished frames are reported again.",
     kind="internal",
 )
 
@@ -253,7 +253,7 @@ class JobQueue:
         try:
             self._workflows.notify(CHANNEL)
         except sa.exc.DBAPIError:  # what is queued is queued
-            log.warning("idle workers could not be told of a job", exc_info=True)
+            log.warning("idle workers could not be notified of a job", exc_info=True)
 
     def is_paused(self, owner: str) -> bool:
         """Whether no more jobs of an owner are started."""
@@ -276,7 +276,7 @@ class JobQueue:
         """
         job = self.get(job_id)
         if job is None or not self._own.put_first(job.owner or NOBODY, job_id):
-            raise JobChangedError("The job is not queued any more.")
+            raise JobChangedError("The job is no longer queued.")
 
     def get(self, job_id: str) -> JobRecord | None:
         """A job, or None where there is none of that id, or its row cannot be read."""
@@ -662,15 +662,15 @@ def _record(status: WorkflowStatus) -> JobRecord:
 def _problem(state: JobState, error: Exception | None, spec: JobSpec) -> Problem | None:
     if state is JobState.TIMED_OUT:
         return Problem(
-            cause=f"The job ran longer than its {spec.timeout_seconds:g} s.",
-            remedy="Resume it; it goes on from its last frame.",
+            cause=f"The job ran longer than its time limit of {spec.timeout_seconds:g} s.",
+            remedy="Resume it; it continues from its last frame.",
             kind="timeout",
         )
     if state is not JobState.FAILED:
         return None
     if isinstance(error, PortableWorkflowError) and isinstance(error.data, dict):
         return Problem.model_validate(error.data)
-    cause = str(error) if error else "Its worker died again and again."
+    cause = str(error) if error else "Its worker died repeatedly."
     return Problem(
         cause=cause, remedy="Retry it; if it fails again, read its log.", kind="internal"
     )

@@ -34,20 +34,21 @@ class Settings(BaseSettings):
     )
 
     data_dir: Path = Field(
-        Path.home() / ".local/share/morph", description="Meshes, jobs, results and locks."
+        Path.home() / ".local/share/morph",
+        description="Folder for meshes, jobs, results and locks.",
     )
     database_url: str = Field(
-        "", description="postgresql://... to spread over machines; SQLite in data_dir if empty."
+        "", description="postgresql://... to use several machines; default: SQLite in data_dir."
     )
     database_pooler_url: str = Field(
         "",
-        description="postgresql://... of a pooler such as PgBouncer before it, which shares a few "
-        "connections out by transaction. Locks keep one each at `MORPH_DATABASE_URL`.",
+        description="postgresql://... of a pooler in front of it, such as PgBouncer in transaction "
+        "mode. Locks still take one connection each to `MORPH_DATABASE_URL`.",
     )
     object_store: str = Field(
         "",
-        description="s3://bucket/prefix for hosts that share no folder; files in data_dir if "
-        "empty. Keys and endpoint come from the AWS_* variables.",
+        description="s3://bucket/prefix for machines that share no folder; default: files in "
+        "data_dir. Keys and endpoint come from the AWS_* variables.",
     )
     object_store_seconds: float = Field(
         600,
@@ -57,64 +58,67 @@ class Settings(BaseSettings):
     object_store_cache_bytes: int = Field(
         20 * GIB,
         gt=0,
-        description="Disk for copies of what is in the object store, for each process [bytes].",
+        description="Disk space for copies of files in the object store, for each process [bytes].",
     )
     host: str = Field(
-        "127.0.0.1", description="Address to listen on; others than loopback need keys."
+        "127.0.0.1", description="Address to listen on; any but a loopback address requires keys."
     )
     admin_key: SecretStr = Field(
         SecretStr(""),
-        description="Secret of the key `admin`, which is made or changed when the service starts.",
+        description="Secret of the key `admin`, which is made or updated when the service starts.",
     )
-    admin_key_file: Path | None = Field(None, description="A file that holds it instead.")
+    admin_key_file: Path | None = Field(
+        None, description="File with the secret, instead of `MORPH_ADMIN_KEY`."
+    )
     metrics_key: SecretStr = Field(
         SecretStr(""),
-        description="Secret that Prometheus may send for `/metrics`, as its bearer token.",
+        description="Secret that Prometheus may send as a bearer token for `/metrics`.",
     )
     log_format: Literal["text", "json"] = Field(
         "text",
-        description="Lines of the log of all processes: to be read, or JSON objects with the ids "
-        "of jobs, which also tell when a job is begun and done.",
+        description="Log format of all processes: text, or JSON objects with job ids, which also "
+        "tell when a job starts and ends.",
     )
-    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 picks a free one.")
     workers: int = Field(1, ge=0, le=256, description="Worker slots that `morph serve` starts.")
     threads: int = Field(
-        0, ge=0, description="CPU threads of a job; 0 shares the cores out evenly."
+        0, ge=0, description="CPU threads of a job; 0 divides the cores evenly among workers."
     )
     warm_engines: bool = Field(
         True,
         description="Keep a process ready for the next job of each slot, with kernels loaded; it "
-        "takes some 450 MB.",
+        "takes about 450 MB.",
     )
     poll_seconds: float = Field(
         0,
         ge=0,
-        description="How often an idle worker looks for a job that it is not told of; 0: every "
-        "0.25 s on SQLite, and every 10 s on Postgres, which tells workers [s].",
+        description="How often an idle worker polls for jobs [s]; 0: every 0.25 s on SQLite, and "
+        "every 10 s on Postgres, which notifies workers of new jobs.",
     )
     job_memory_bytes: int = Field(
         0,
         ge=0,
-        description="Jobs that would need more memory are refused, and stopped if they take more; "
-        "0: than this machine has, shared out evenly to its workers [bytes].",
+        description="Memory limit per job [bytes]: jobs that would need more are refused, and "
+        "those that take more are stopped; 0: the memory of this machine, divided evenly among its "
+        "workers.",
     )
     job_timeout_seconds: float = Field(
         86400, gt=0, description="Longest running time of a job [s]."
     )
     attempts: int = Field(3, ge=1, description="Attempts of a job whose engine crashes or hangs.")
     retry_seconds: float = Field(
-        1.0, ge=0, description="Pause before the second attempt, doubled for each further one [s]."
+        1.0, ge=0, description="Pause before the second attempt [s], doubled for each further one."
     )
     stall_seconds: float = Field(
-        900, gt=0, description="A job that finishes no frame for so long counts as hung [s]."
+        900, gt=0, description="A job that finishes no frame within this time counts as hung [s]."
     )
     adoption_seconds: float = Field(
-        2.0, gt=0, description="How often the janitor looks for jobs of dead workers [s]."
+        2.0, gt=0, description="How often the janitor checks for jobs of dead workers [s]."
     )
     upload_bytes: int = Field(256 * MIB, gt=0, description="Largest upload [bytes].")
     body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON request body [bytes].")
     upload_timeout_seconds: float = Field(
-        60, gt=0, description="An upload that sends nothing for so long is dropped [s]."
+        60, gt=0, description="An upload that sends no data for this long is dropped [s]."
     )
     upload_deadline_seconds: float = Field(
         3600, gt=0, description="An upload that takes longer is dropped [s]."
@@ -128,44 +132,45 @@ class Settings(BaseSettings):
         3600, gt=0, description="CPU time to make a surface or an export [s]."
     )
     sandbox_processes: int = Field(
-        6, ge=1, description="Meshes, surfaces, results and exports computed at the same time."
+        6, ge=1, description="Meshes, surfaces, results and exports processed at the same time."
     )
     sandbox_memory_bytes: int = Field(
         0,
         ge=0,
-        description="Memory that all of these may take together, over all API processes of a "
-        "machine; 0: what it has [bytes].",
+        description="Memory limit for all of these together, over all API processes of a machine "
+        "[bytes]; 0: the memory of the machine.",
     )
     meshes_per_key: int = Field(1000, gt=0, description="Meshes that a key may keep.")
     queued_jobs_per_key: int = Field(1000, gt=0, description="Unfinished jobs that a key may have.")
-    disk_bytes_per_key: int = Field(
-        100 * GIB, gt=0, description="Disk that a key may fill [bytes]."
-    )
+    disk_bytes_per_key: int = Field(100 * GIB, gt=0, description="Disk quota of a key [bytes].")
     retention_days: float = Field(
-        0, ge=0, description="Finished jobs are deleted after so long; 0 never."
+        0, ge=0, description="Finished jobs are deleted after this many days; 0: never."
     )
     retention_bytes: int = Field(
-        0, ge=0, description="Oldest finished jobs are deleted beyond this size; 0 never [bytes]."
+        0,
+        ge=0,
+        description="Oldest finished jobs are deleted beyond this total size [bytes]; 0: never.",
     )
     webhooks_per_key: int = Field(10, gt=0, description="Webhooks that a key may have.")
     webhook_networks: str = Field(
         "",
-        description="Networks that webhooks may reach although they are not public, as "
+        description="Networks that webhooks may reach although they are not public, such as "
         "127.0.0.0/8,10.1.0.0/16.",
     )
     webhook_attempts: int = Field(
-        10, ge=1, description="Attempts to deliver a message to a webhook before it is given up."
+        10, ge=1, description="Attempts to deliver a message to a webhook before giving up."
     )
     webhook_retry_seconds: float = Field(
         5.0,
         gt=0,
-        description="Pause before the second attempt, about tripled for each further one [s].",
+        description="Pause before the second attempt [s], about tripled for each further one.",
     )
     watchers: int = Field(1000, gt=0, description="Event streams served at the same time.")
     watchers_per_key: int = Field(
         200,
         gt=0,
-        description="Event streams of one key among them, with those by share links to its jobs.",
+        description="Event streams of one key among them, including those of share links to its "
+        "jobs.",
     )
 
     @property
@@ -185,7 +190,8 @@ class Settings(BaseSettings):
                 secret = self.admin_key_file.read_text(encoding="utf-8").strip()
             except (OSError, UnicodeDecodeError) as error:
                 raise ConfigError(
-                    f"MORPH_ADMIN_KEY_FILE cannot be read: {error}.", "Name a file with a secret."
+                    f"MORPH_ADMIN_KEY_FILE cannot be read: {error}.",
+                    "Name a file that contains a secret.",
                 ) from None
         elif not secret:
             return ""
@@ -248,8 +254,8 @@ def load_settings() -> Settings:
         if name.startswith("MORPH_") and name not in {*known, *others}:
             closest = difflib.get_close_matches(name, known, 1, 0.0)[0]
             raise ConfigError(
-                f"There is no variable {name}.",
-                f"Did you mean {closest}? All of them are in docs/settings.md.",
+                f"There is no setting {name}.",
+                f"Did you mean {closest}? docs/settings.md lists all settings.",
             )
     try:
         settings = Settings()
@@ -259,12 +265,12 @@ def load_settings() -> Settings:
         raise ConfigError(f"{name}: {fault['msg']}.", "See docs/settings.md.") from None
     if settings.database_url and not settings.on_postgres:
         raise ConfigError(
-            "MORPH_DATABASE_URL is no address of a Postgres database.",
-            "Write postgresql://user:word@host:5432/name, or leave it out for SQLite.",
+            "MORPH_DATABASE_URL is not the URL of a Postgres database.",
+            "Use the form postgresql://user:password@host:5432/name, or unset it for SQLite.",
         )
     if settings.database_pooler_url and not settings.on_postgres:
         raise ConfigError(
-            "MORPH_DATABASE_POOLER_URL is there, and no Postgres database behind it.",
+            "MORPH_DATABASE_POOLER_URL is set, but there is no Postgres database behind it.",
             "Name the database itself in MORPH_DATABASE_URL.",
         )
     return settings

@@ -239,7 +239,9 @@ class Storage:
             self.derived_dir(job_id).mkdir(exist_ok=True)
             self.exports_dir(job_id).mkdir(exist_ok=True)
         except FileNotFoundError:
-            raise ResultError("The job has been deleted meanwhile.", "Submit it again.") from None
+            raise ResultError(
+                "The job has been deleted in the meantime.", "Submit it again."
+            ) from None
 
     def surface_path(self, job_id: str, frame: int) -> Path:
         """The surface of a frame; it need not be there."""
@@ -337,8 +339,8 @@ def writing(subject: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise ResultError(
-            f"{subject} cannot be written ({error.strerror or error}).",
-            "Free some disk space, and see that the job has not been deleted.",
+            f"{subject} cannot be written to ({error.strerror or error}).",
+            "Free some disk space, and check that the job has not been deleted.",
         ) from error
 
 

@@ -59,7 +59,7 @@ class SupervisedProcess:
                 self._pause = min(longer, LONGEST_PAUSE_SECONDS)
             self._start_at = time.monotonic() + self._pause
             how = describe_exit(status)
-            log(f"{self.name} ended ({how}); it starts again in {self._pause:g} s.")
+            log(f"{self.name} ended ({how}); restarting it in {self._pause:g} s.")
         if time.monotonic() >= self._start_at:
             self._start()
 
@@ -75,7 +75,7 @@ class SupervisedProcess:
         try:
             self._process.wait(max(deadline - time.monotonic(), 0.01))
         except subprocess.TimeoutExpired:
-            log(f"{self.name} does not end and is killed.")
+            log(f"{self.name} does not stop and will be killed.")
             self._process.kill()
             self._process.wait()
 

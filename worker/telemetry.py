@@ -51,7 +51,7 @@ def set_up(service: str) -> None:
         return
     protocol = next(filter(None, map(os.environ.get, PROTOCOLS)), "http/protobuf")
     if protocol != "http/protobuf":
-        log.warning("No traces: OTLP is spoken over http/protobuf here, not %s.", protocol)
+        log.warning("No traces: only OTLP over http/protobuf is supported, not %s.", protocol)
         return
     try:
         from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -60,8 +60,8 @@ def set_up(service: str) -> None:
         from opentelemetry.sdk.trace.export import BatchSpanProcessor
     except ModuleNotFoundError:
         log.warning(
-            "OTEL_* variables ask for traces, which need a package more: "
-            "pip install 'chamfer-morph[telemetry]'."
+            "OTEL_* variables request traces, which need another package: pip install "
+            "'chamfer-morph[telemetry]'."
         )
         return
     logging.getLogger("opentelemetry.exporter").setLevel(logging.ERROR)  # not of each repetition

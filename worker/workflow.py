@@ -204,13 +204,13 @@ def _explaining() -> Iterator[None]:
     except OSError as error:
         raise AttemptFailed(_disk_refuses(error), 0) from error
     except StoreUnavailableError as error:
-        remedy = "See that the object store answers, then resume the job."
+        remedy = "Check that the object store answers, then resume the job."
         problem = Problem(cause=error.cause, remedy=remedy, kind="resources")
         raise AttemptFailed(problem, 0) from error
     except OwnershipLostError as error:
         problem = Problem(
-            cause="Another worker has taken the job's files over.",
-            remedy="If that happens again, see that each worker slot has a name of its own.",
+            cause="Another worker has taken over the job's files.",
+            remedy="If that happens again, check that each worker slot has a unique name.",
             kind="crash",
         )
         raise AttemptFailed(problem, 0) from error
@@ -218,8 +218,9 @@ def _explaining() -> Iterator[None]:
 
 def _disk_refuses(error: OSError) -> Problem:
     return Problem(
-        cause=f"The job's folder cannot be written ({error.strerror or error}).",
-        remedy="See that the service's disk has room and can be written, then resume the job.",
+        cause=f"The job's folder cannot be written to ({error.strerror or error}).",
+        remedy="Check that the disk of the service is writable and has free space, then resume "
+        "the job.",
         kind="resources",
     )
 

@@ -23,16 +23,16 @@ app: typer.Typer = typer.Typer()
 @app.command(rich_help_panel=PANEL)
 def backup(
     folder: Annotated[
-        Path, typer.Argument(help="Where to; an earlier backup there is brought up to date.")
+        Path, typer.Argument(help="Folder for the backup; an earlier backup there is updated.")
     ],
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Copy meshes, jobs, results and the database of this machine's service into a folder.
 
-    The service may be at work: once restored, jobs that were running go on after the last frame
-    that was copied. It is found by the MORPH_* variables, as morph serve finds it. With an object
-    store the folder gets the database alone. For Postgres this runs its program pg_dump.
+    The service may keep running: after a restore, running jobs continue from the last frame that
+    was copied. The service is found through the MORPH_* variables, as by morph serve. With an
+    object store only the database is copied. For Postgres this runs pg_dump.
     """
     from chamfer_morph.server.backup.backup import back_up
     from chamfer_morph.worker.private_process import keep_private
@@ -46,13 +46,13 @@ def backup(
 
 @app.command(rich_help_panel=PANEL)
 def restore(
-    folder: Annotated[Path, typer.Argument(help="What morph backup has made.")],
+    folder: Annotated[Path, typer.Argument(help="A folder made by morph backup.")],
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make the service anew from a backup, in MORPH_DATA_DIR and an empty database.
+    """Restore the service from a backup, into MORPH_DATA_DIR and an empty database.
 
-    Then start it: jobs that were running go on.
+    Then start it: jobs that were running continue.
     """
     from chamfer_morph.server.backup.backup import restore as restore_service
     from chamfer_morph.worker.private_process import keep_private

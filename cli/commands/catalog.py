@@ -46,27 +46,30 @@ def list_shapes(context: typer.Context, as_json: JsonOption = False) -> None:
 @shapes.command()
 def fetch(
     meshes: Annotated[
-        list[str] | None, typer.Argument(metavar="[MESH...]", help="As cow.obj; all if absent.")
+        list[str] | None,
+        typer.Argument(metavar="[MESH...]", help="File names such as cow.obj; default: all."),
     ] = None,
     to: Annotated[
-        Path, typer.Option("--to", envvar="MORPH_MESHES", help="Folder that they go into.")
+        Path, typer.Option("--to", envvar="MORPH_MESHES", help="Folder to save them in.")
     ] = Path("meshes"),
     place: Annotated[
         str,
         typer.Option(
-            "--from", metavar="PLACE", help="Address or folder that has the originals instead."
+            "--from", metavar="PLACE", help="URL or folder to get the originals from instead."
         ),
     ] = "",
     checksums: Annotated[
         Path | None,
-        typer.Option(help="SHA-256 that the originals must have, a list as of sha256sum."),
+        typer.Option(
+            help="File with the SHA-256 that the originals must have, as written by sha256sum."
+        ),
     ] = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fetch the public originals of the paper's meshes; put them in place as the paper has them.
+    """Fetch the public originals of the paper's meshes and place them as in the paper.
 
-    Repeated, it goes on where it broke off, and checks what is there.
+    If repeated, it continues where it stopped, and checks the files that are there.
     """
     require("httpx", extra="reproduce", purpose="Fetching meshes")
     from chamfer_morph.cli.mesh_fetch import fetch_meshes
@@ -81,7 +84,7 @@ def _print_fetched(meshes: list[FetchedMesh]) -> None:
     """A line a mesh: where it is from, and whether it is the paper's."""
     from chamfer_morph.cli.tables import print_table
 
-    is_papers = {True: "no, stands in", False: "yes", None: ""}
+    is_papers = {True: "no, a stand-in", False: "yes", None: ""}
     rows = [
         (
             mesh.name,
@@ -97,7 +100,7 @@ def _print_fetched(meshes: list[FetchedMesh]) -> None:
 
 @app.command()
 def presets(
-    name: Annotated[str | None, typer.Argument(help="Show the settings of this one.")] = None,
+    name: Annotated[str | None, typer.Argument(help="Show the settings of this preset.")] = None,
     describe: Annotated[
         str | None, typer.Option(metavar="SECTION", help="Only settings of this section.")
     ] = None,

@@ -20,14 +20,14 @@ app: typer.Typer = typer.Typer()
 @app.command(rich_help_panel=PANEL)
 def doctor(
     compute: Annotated[
-        bool, typer.Option("--compute/--no-compute", help="Compute a tiny morph, too.")
+        bool, typer.Option("--compute/--no-compute", help="Also compute a tiny morph.")
     ] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Look whether this machine has what morphs and the service need, and say what to do.
+    """Check whether this machine has what morphs and the service need, and say what to fix.
 
-    Software, libraries, memory, disk, database, object store, and a tiny morph; the service by its
-    MORPH_* variables. Exit status 1 if there is a fault.
+    Checks software, libraries, memory, disk, database, object store, and a tiny morph; the
+    MORPH_* variables tell which service. Exit status 1 if a check fails.
     """
     from chamfer_morph.cli.doctor import examine
     from chamfer_morph.cli.output import print_json

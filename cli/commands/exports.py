@@ -38,7 +38,7 @@ VIDEO_FRAMES_PER_SECOND = 12.0
 app: typer.Typer = typer.Typer()
 
 ResultArgument = Annotated[
-    str, typer.Argument(metavar="RESULT", help="A result file, or the id of a job of the service.")
+    str, typer.Argument(metavar="RESULT", help="A result file, or the id of a job on the service.")
 ]
 
 
@@ -47,15 +47,16 @@ class SelectionOptions:
     """Which frames of a result are written, and how."""
 
     frames: Annotated[
-        str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
+        str | None, typer.Option(help="Frames such as 0,5,10-20; -1 is the last. Default: all.")
     ] = None
     surface: Annotated[
-        bool, typer.Option("--surface", help="A surface around the particles in their place.")
+        bool,
+        typer.Option("--surface", help="A surface around the particles, instead of the particles."),
     ] = False
     snap: Annotated[
         bool,
         typer.Option(
-            "--snap", help="With --surface: draw the first and last frames to your own meshes."
+            "--snap", help="With --surface: snap the first and last frames onto your own meshes."
         ),
     ] = False
     force: ForceOption = False
@@ -67,18 +68,22 @@ class PlaybackOptions:
     """How long a result is played, and how; apart from how many frames it has."""
 
     seconds: Annotated[
-        float | None, typer.Option(help="Duration, with the rests; frames over --fps if absent.")
+        float | None,
+        typer.Option(help="Duration including the pauses; default: frames divided by --fps."),
     ] = None
-    hold: Annotated[float | None, typer.Option(metavar="SECONDS", help="Rest at each shape.")] = (
+    hold: Annotated[float | None, typer.Option(metavar="SECONDS", help="Pause at each shape.")] = (
         None
     )
     easing: Annotated[
         Literal["linear", "in-out", "overshoot"] | None,
-        typer.Option(help="Even pace; slow at each shape (usual); or past it and back."),
+        typer.Option(help="Even pace; slow at each shape (default); or overshoot it and return."),
     ] = None
     repeat: Annotated[
         Literal["none", "loop", "ping-pong"] | None,
-        typer.Option(help="End as it begins, if the run comes back to its first shape; or return."),
+        typer.Option(
+            help="loop: end as it begins, for runs that return to their first shape; "
+            "ping-pong: play forward, then backward."
+        ),
     ] = None
 
     def timing(self, fps: float | None) -> Timing | None:
@@ -94,42 +99,52 @@ def export(
     result: ResultArgument,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="The file; a .zip or a folder for many frames of a kind."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Output file; for several frames with one file each, a .zip or a folder.",
+        ),
     ],
     *,
     format: Annotated[
         str | None,
         typer.Option(
             help="ply, obj, glb, stl, usd, pc2, npz, splat, csv, html, mp4, webm, mov, gif, png; "
-            "by the ending if absent."
+            "default: by the file extension."
         ),
     ] = None,
     tracked: Annotated[
         bool,
-        typer.Option("--tracked", help="One mesh through all frames: .glb, .usdc, .html, or pc2."),
+        typer.Option(
+            "--tracked", help="One mesh that moves through all frames: .glb, .usdc, .html, or pc2."
+        ),
     ] = False,
     texture: Annotated[
         int | None,
-        typer.Option(help="With --tracked, in a .glb: colours as a texture of so many pixels."),
+        typer.Option(
+            help="With --tracked and .glb: store colours as a texture of this width in pixels."
+        ),
     ] = None,
     fps: Annotated[
         float | None,
         typer.Option(
-            min=1, max=120, help="Frames per second: 24, or 12 in videos; 30 of a given time."
+            min=1,
+            max=120,
+            help="Frames per second; default: 24, 12 for videos, 30 with a playing time.",
         ),
     ] = None,
     units: Annotated[
         Literal["user", "source", "target", "grid"],
-        typer.Option(help="Coordinates: of your files, of one of them, or grid units."),
+        typer.Option(help="Coordinates of your files, of one of them, or in grid units."),
     ] = "user",
     fields: Annotated[
-        str, typer.Option(metavar="A,B", help="Fields to carry along, such as speed,det_f.")
+        str, typer.Option(metavar="A,B", help="Fields to include, such as speed,det_f.")
     ] = "",
     playback: PlaybackOptions,
     selection: SelectionOptions,
     service: ServiceOptions,
 ) -> None:
-    """Write frames of a result for other programs; docs/exports.md has the formats."""
+    """Write frames of a result for other programs; docs/exports.md lists the formats."""
     from morph_engine import export as exports
 
     name = format or _format_by_suffix(out, exports.FORMATS)
@@ -163,20 +178,20 @@ def view(
     result: ResultArgument,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Keep the page in this file; a temporary one if absent."),
+        typer.Option("--out", "-o", help="Save the page to this file; default: a temporary file."),
     ] = None,
     *,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
     ] = True,
     frames: Annotated[
-        str | None, typer.Option(help="As in 0,5,10-20; -1 is the last. All if not given.")
+        str | None, typer.Option(help="Frames such as 0,5,10-20; -1 is the last. Default: all.")
     ] = None,
     surface: Annotated[
         bool | None,
         typer.Option(
             "--surface/--no-surface",
-            help="With the surface, which takes up to two minutes; by default where it takes "
+            help="Include the surface, which takes up to two minutes; by default only if it takes "
             "seconds.",
         ),
     ] = None,
@@ -184,7 +199,7 @@ def view(
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Look at a result in a browser: one file with a viewer, which needs no network."""
+    """Open a result in a browser: one file with a viewer, which works offline."""
     import webbrowser
 
     from morph_engine import export as exports
@@ -198,7 +213,10 @@ def view(
             writing.result, place, "html", frames=chosen, tracked=tracked, watch=writing.watch
         )
         if surface is None and not tracked:
-            writing.tell("Particles alone: --surface shows the surface, too, in up to two minutes.")
+            writing.tell(
+                "Only particles are shown: --surface adds the surface, which takes up to two "
+                "minutes."
+            )
     if browser:
         webbrowser.open(place.absolute().as_uri())
 
@@ -212,27 +230,31 @@ def render(
         typer.Option(
             "--out",
             "-o",
-            help="The video: .gif, or with the extra video .mp4, .webm, .mov (ProRes); "
-            ".png for one frame, .zip or a folder for a PNG file of each.",
+            help="Output file: .gif, or with the extra video .mp4, .webm, .mov (ProRes); .png for "
+            "one frame; .zip or a folder for one PNG file per frame.",
         ),
     ],
     *,
     color: Annotated[
         str | None,
-        typer.Option(metavar="FIELD", help="Colour by a field, such as speed or target_distance."),
+        typer.Option(
+            metavar="FIELD", help="Colour particles by a field, such as speed or target_distance."
+        ),
     ] = None,
     turntable: Annotated[
         bool, typer.Option("--turntable", help="Short for --camera turn.")
     ] = False,
     camera: Annotated[
         Literal["still", "turn", "orbit"],
-        typer.Option(help="The eye rests, goes around once, or goes around, up and down."),
+        typer.Option(
+            help="The camera stays still, circles once, or circles while moving up and down."
+        ),
     ] = "still",
     camera_key: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SHARE:AZIMUTH,ELEVATION[,ZOOM]",
-            help="Where the eye is at a share of the film, in degrees; once for each place.",
+            help="Camera position, in degrees, at a time from 0 to 1; repeat for several.",
         ),
     ] = None,
     background: Annotated[
@@ -240,16 +262,18 @@ def render(
     ] = "white",
     look: Annotated[
         str | None,
-        typer.Option(help="As if made of clay, porcelain, jelly, metal, wax or glass."),
+        typer.Option(help="Material: clay, porcelain, jelly, metal, wax or glass."),
     ] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Pixels, up to 4096x4096.")] = "960x720",
     fps: Annotated[
         float | None,
-        typer.Option(min=1, max=120, help="Frames per second: 12, or 30 of a given time."),
+        typer.Option(
+            min=1, max=120, help="Frames per second; default: 12, or 30 with a playing time."
+        ),
     ] = None,
     up: Annotated[
         Literal["y", "z"] | None,
-        typer.Option(help="The upward axis; if not given, that of the source."),
+        typer.Option(help="The upward axis; default: that of the source."),
     ] = None,
     playback: PlaybackOptions,
     selection: SelectionOptions,
@@ -294,7 +318,8 @@ def _format_by_suffix(out: Path, formats: dict[str, exports.Format]) -> str:
         if out.suffix.lower() == known.suffix != ".zip":  # which many formats may be in
             return name
     raise ConfigError(
-        f"{out.name} says no format.", f"Name one with --format: {', '.join(formats)}."
+        f"The name {out.name} does not tell the format.",
+        f"Name one with --format: {', '.join(formats)}.",
     )
 
 

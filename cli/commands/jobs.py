@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 app: typer.Typer = typer.Typer()
 PANEL = "Jobs of the service"
 
-SHAPE_HELP = "A mesh file, which is uploaded, or a built-in shape (see morph shapes)."
+SHAPE_HELP = "A mesh file to upload, or a built-in shape (see morph shapes)."
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled", "timed_out"]
 
@@ -58,7 +58,7 @@ def submit(
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Have the service morph SOURCE into TARGET, or through several; prints the id of the job."""
+    """Submit a morph of SOURCE into TARGET, or through several; prints the id of the job."""
     with service.connect() as client, repeatable(submission.idempotency_key, "the job") as key:
         job = client.submit(
             source,
@@ -81,7 +81,7 @@ def jobs(
     *,
     state: Annotated[State | None, typer.Option(help="Only jobs in this state.")] = None,
     method: Annotated[str | None, typer.Option(help="Only jobs of this method.")] = None,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many.")] = 20,
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number to list.")] = 20,
     service: ServiceOptions,
 ) -> None:
     """List jobs, the newest first."""
@@ -93,7 +93,7 @@ def jobs(
 @app.command(rich_help_panel=PANEL)
 @expand_groups
 def show(job_id: JobArgument, service: ServiceOptions) -> None:
-    """Show a job as it stands."""
+    """Show the current state of a job."""
     with service.connect() as client:
         job = client.job(job_id)
     service.print(job, lambda: print_job(job))
@@ -102,7 +102,7 @@ def show(job_id: JobArgument, service: ServiceOptions) -> None:
 @app.command(rich_help_panel=PANEL)
 @expand_groups
 def watch(job_id: JobArgument, *, quiet: QuietOption = False, service: ServiceOptions) -> None:
-    """Show the progress of a job until its end; Ctrl-C leaves the job alone."""
+    """Show the progress of a job until it ends; Ctrl-C stops watching, not the job."""
     with service.connect() as client:
         _watch_to_end(client, client.job(job_id), service, quiet=quiet)
 
@@ -116,7 +116,7 @@ def fetch(
     force: ForceOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Fetch the result of a job; an interrupted download goes on where it broke off."""
+    """Fetch the result of a job; an interrupted download continues where it stopped."""
     with service.connect() as client:
         job = client.job(job_id)
         path = out or default_output(
@@ -138,22 +138,24 @@ def fork(
     *,
     frame: Annotated[
         int | None,
-        typer.Option(help="Last frame in common, from 0; the last with a full state if not given."),
+        typer.Option(
+            help="Last frame to keep, counted from 0; default: the last one with a full state."
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A setting in place of the job's."),
+        typer.Option("--set", metavar="PATH=VALUE", help="A setting to change."),
     ] = None,
-    name: Annotated[str, typer.Option(help="A name for your own use.")] = "",
+    name: Annotated[str, typer.Option(help="A name of your choice.")] = "",
     states_every: Annotated[
-        int, typer.Option(help="Keep the full state after every so many frames.")
+        int, typer.Option(help="Keep the full state after every N frames.")
     ] = 0,
     idempotency_key: IdempotencyKeyOption = None,
     watch: WatchOption = False,
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Go on from a frame of a job with other settings, as a new job; prints its id."""
+    """Continue from a frame of a job with other settings, as a new job; prints its id."""
     overrides = parse_settings(settings or ())
     with service.connect() as client, repeatable(idempotency_key, "the job") as key:
         job = client.fork(
@@ -216,7 +218,9 @@ def _add_command(name: str, help: str, method: str = "") -> None:
 
 
 _add_command("cancel", "Stop jobs; their finished frames stay.")
-_add_command("next", "Start queued jobs before your others, the last named first.", "put_first")
-_add_command("retry", "Compute finished jobs again from the beginning; what they left is deleted.")
-_add_command("resume", "Let cancelled or failed jobs go on after their last finished frame.")
+_add_command("next", "Move queued jobs ahead of your others, the last named first.", "put_first")
+_add_command(
+    "retry", "Compute finished jobs again from the beginning; their old output is deleted."
+)
+_add_command("resume", "Continue cancelled or failed jobs after their last finished frame.")
 _add_command("delete", "Delete finished jobs and their results.")

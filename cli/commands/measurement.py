@@ -49,7 +49,7 @@ def metrics(
     ],
     b: Annotated[
         str | None,
-        typer.Argument(metavar="[B]", help="Target, the same kinds; a result has its own."),
+        typer.Argument(metavar="[B]", help="Target, of the same kinds; a result has its own."),
     ] = None,
     points_per_cell_edge: Annotated[
         int | None, typer.Option(min=1, max=8, help="Lattice points per grid cell edge.")
@@ -60,7 +60,7 @@ def metrics(
     frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
     tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = TAU,
     path: Annotated[
-        bool, typer.Option("--path", help="Measure the path of a result, and its end, instead.")
+        bool, typer.Option("--path", help="Measure the path of a result and its end instead.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -19,7 +19,7 @@ PANEL = "The service"
 
 app: typer.Typer = typer.Typer()
 
-DataDirOption = Annotated[Path | None, typer.Option(help="Where everything is kept.")]
+DataDirOption = Annotated[Path | None, typer.Option(help="Folder for all data.")]
 
 
 @app.command(rich_help_panel=PANEL)
@@ -29,9 +29,9 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Jobs to compute at the same time.")] = None,
     data_dir: DataDirOption = None,
 ) -> None:
-    """Run the service on this machine: API, workers and janitor; Ctrl-C ends it, losing nothing.
+    """Run the service on this machine: API, workers and janitor; Ctrl-C stops it, losing nothing.
 
-    Every other setting is a MORPH_* variable of the environment, see docs/settings.md.
+    All other settings are MORPH_* environment variables, see docs/settings.md.
     """
     import_module("chamfer_morph.server")  # says so here if the extra `service` is absent
     options = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA_DIR": data_dir}
@@ -48,19 +48,21 @@ def worker(
         str | None, typer.Option(metavar="all|0,2", help="A worker for each of these GPUs.")
     ] = None,
     first_slot: Annotated[
-        int, typer.Option(min=0, help="Number of the first slot; others run on this machine.")
+        int,
+        typer.Option(min=0, help="Number of the first slot, if other workers run on this machine."),
     ] = 0,
     data_dir: DataDirOption = None,
 ) -> None:
-    """Join this machine to the service of MORPH_DATABASE_URL and MORPH_DATA_DIR.
+    """Run workers on this machine for the service of MORPH_DATABASE_URL and MORPH_DATA_DIR.
 
-    Workers that die are started again. Ctrl-C or SIGTERM ends them all; their jobs go on elsewhere.
+    Workers that die are restarted. Ctrl-C or SIGTERM stops them all; their jobs continue
+    elsewhere.
     """
     from chamfer_morph.cli.gpu_selection import chosen_gpus
     from chamfer_morph.worker.supervisor import StopSignals, supervise, worker_slot
 
     if slots is not None and gpus is not None:
-        raise ConfigError("--slots and --gpus exclude each other.", "Give one of them.")
+        raise ConfigError("--slots and --gpus cannot be combined.", "Use only one of them.")
     chosen = None if gpus is None else chosen_gpus(gpus)
     count = (slots or 1) if chosen is None else len(chosen)
     environment = _environment({"DATA_DIR": data_dir, "WORKERS": count})  # they share the cores

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 PANEL = "Jobs of the service"
 
 app: typer.Typer = typer.Typer()
-queue: typer.Typer = typer.Typer(help="Your queued jobs as a whole.", no_args_is_help=True)
+queue: typer.Typer = typer.Typer(help="Your queue of jobs.", no_args_is_help=True)
 app.add_typer(queue, name="queue", rich_help_panel=PANEL)
 
 
 @queue.command()
 @expand_groups
 def show(service: ServiceOptions) -> None:
-    """Show how many of your jobs wait and run."""
+    """Show how many of your jobs are queued and running."""
     with service.connect() as client:
         status = client.queue()
     service.print(status, _in_words(status))
@@ -31,7 +31,7 @@ def show(service: ServiceOptions) -> None:
 @queue.command()
 @expand_groups
 def pause(service: ServiceOptions) -> None:
-    """Start no more of your jobs; those that run go on."""
+    """Start no more of your jobs; running ones continue."""
     with service.connect() as client:
         status = client.pause_queue()
     service.print(status, _in_words(status))

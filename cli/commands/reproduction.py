@@ -29,25 +29,27 @@ app: typer.Typer = typer.Typer()
 def reproduce(
     tables: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TABLE...]", help="Names, or all; the list of them if absent."),
+        typer.Argument(metavar="[TABLE...]", help="Names, or all; omit to list them."),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, max=256, help="Runs at the same time; one a core.")
+        int | None,
+        typer.Option(min=1, max=256, help="Runs at the same time; default: one per core."),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Preset fast in place of published.")
+        bool, typer.Option("--quick", help="Use the preset fast instead of published.")
     ] = False,
     results: Annotated[
-        Path, typer.Option(help="Where runs, tables, figures and report go.")
+        Path, typer.Option(help="Folder for runs, tables, figures and the report.")
     ] = Path("reproduced"),
     meshes: Annotated[
         Path, typer.Option(envvar="MORPH_MESHES", help="Folder of the paper's meshes.")
     ] = Path("meshes"),
     fetch: Annotated[
-        bool, typer.Option("--fetch", help="First fetch the meshes that are missing there.")
+        bool,
+        typer.Option("--fetch", help="First fetch the meshes that are missing from that folder."),
     ] = False,
     any_code: Annotated[
-        bool, typer.Option("--any-code", help="Take finished runs of other code as they are, too.")
+        bool, typer.Option("--any-code", help="Also accept finished runs of other code.")
     ] = False,
     server: Annotated[
         str | None, typer.Option(help="Have the service at this address compute the runs.")
@@ -56,10 +58,9 @@ def reproduce(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Reproduce tables and figures of the paper, each number beside the printed one.
+    """Reproduce tables and figures of the paper, each number next to the printed one.
 
-    What this code has computed is kept and used again; an interrupted command goes on when
-    repeated.
+    Runs of this code are kept and reused; repeat an interrupted command to continue it.
     """
     from chamfer_morph.cli.reproduce_display import EndsDisplay
     from chamfer_morph.reproduction.meshes import ASSETS, MeshFolder
@@ -137,8 +138,8 @@ def _compute(
     outdated = known_records(missing, store, meshes, any_code=True)
     if not quiet:
         print_plan(missing, known=len(known), outdated=len(outdated), jobs=at_once, server=server)
-    kept = "the jobs of the service go on" if server else "finished frames are kept"
-    lines = f"Stopped by Ctrl-C; {kept}.", "Continue with the same command."
+    kept = "the jobs on the service continue" if server else "finished frames are kept"
+    lines = f"Stopped by Ctrl-C; {kept}.", "Repeat the command to continue."
     with (
         interrupt.at_interrupt(partial(interrupt.report, *lines)),
         ReproductionDisplay(jobs=at_once, quiet=quiet) as display,

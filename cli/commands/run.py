@@ -54,11 +54,11 @@ def rerun(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result file.")],
     *,
     out: Annotated[
-        Path | None, typer.Option(help="New result file; RESULT-rerun.vtkhdf if not given.")
+        Path | None, typer.Option(help="New result file; default: RESULT-rerun.vtkhdf.")
     ] = None,
     execution: ExecutionOptions,
 ) -> None:
-    """Repeat a run from its result file alone, and say how far the two end apart."""
+    """Repeat a run from its result file alone, and print how far apart the two end."""
     from chamfer_morph.cli import local_run
     from morph_engine import kept_results
 

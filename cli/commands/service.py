@@ -44,22 +44,22 @@ def create_key(
     *,
     scope: Annotated[
         list[str] | None,
-        typer.Option(help="read, submit or admin, again and again; read and submit if not given."),
+        typer.Option(help="read, submit or admin; repeat for several. Default: read and submit."),
     ] = None,
     service: ServiceOptions,
 ) -> None:
-    """Make an API key; prints its secret, which is not shown again."""
+    """Make an API key; prints its secret, which will not be shown again."""
     with service.connect() as client:
         key = client.create_key(name, scope or ("read", "submit"))
     service.print(key, key.secret)
     if not service.as_json:
-        typer.echo("Keep it: it is not shown again.", err=True)
+        typer.echo("Save it: it will not be shown again.", err=True)
 
 
 @keys.command("delete")
 @expand_groups
 def delete_key(name: NameArgument, service: ServiceOptions) -> None:
-    """Delete an API key; it is refused from now on."""
+    """Delete an API key; it stops working at once."""
     with service.connect() as client:
         client.delete_key(name)
     service.print({"name": name, "deleted": True}, f"{name} deleted")
@@ -78,7 +78,7 @@ def list_workers(service: ServiceOptions) -> None:
 @workers.command()
 @expand_groups
 def pause(worker: WorkerArgument, service: ServiceOptions) -> None:
-    """Let a worker finish its job and start no other."""
+    """Let a worker finish its job and start no more."""
     with service.connect() as client:
         status = client.pause_worker(worker)
     service.print(status, f"{status.id}  {_state(status)}")

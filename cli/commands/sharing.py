@@ -21,7 +21,7 @@ def share(
     job_id: JobArgument,
     *,
     show: Annotated[
-        bool, typer.Option("--list", help="List the links that there are, and make none.")
+        bool, typer.Option("--list", help="List the existing links instead of making one.")
     ] = False,
     revoke: Annotated[bool, typer.Option("--revoke", help="Revoke all links of the job.")] = False,
     revoke_link: Annotated[
@@ -29,18 +29,18 @@ def share(
     ] = None,
     service: ServiceOptions,
 ) -> None:
-    """Make a link by which others see a job without a key; prints its URL, not shown again."""
+    """Make a link that shows a job to others without a key; its URL is printed only once."""
     if show + revoke + (revoke_link is not None) > 1:
         raise ConfigError(
-            "A command lists links, or revokes all, or revokes one.",
-            "Give one of --list, --revoke and --revoke-link.",
+            "--list, --revoke and --revoke-link cannot be combined.",
+            "Use only one of them.",
         )
     with service.connect() as client:
         if revoke or revoke_link:
             ids = [revoke_link] if revoke_link else [link.id for link in client.share_links(job_id)]
             for link_id in ids:
                 client.revoke_share_link(job_id, link_id)
-            text = "\n".join(f"{link_id} revoked" for link_id in ids) or "There is no link."
+            text = "\n".join(f"{link_id} revoked" for link_id in ids) or "There are no links."
             return service.print({"job": job_id, "revoked": ids}, text)
         if show:
             links = client.share_links(job_id)

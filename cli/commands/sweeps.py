@@ -27,26 +27,29 @@ app: typer.Typer = typer.Typer()
 @expand_groups
 def sweep(
     sweep_id: Annotated[
-        str | None, typer.Argument(metavar="[SWEEP]", help="Show this sweep; a new one if absent.")
+        str | None,
+        typer.Argument(
+            metavar="[SWEEP]", help="Id of a sweep to show; omit it to submit a new one."
+        ),
     ] = None,
     *,
     sources: Annotated[
         str, typer.Option(metavar="A,B", help="Mesh files or built-in shapes.")
     ] = "",
-    targets: Annotated[str, typer.Option(metavar="C,D", help="What they are to become.")] = "",
+    targets: Annotated[str, typer.Option(metavar="C,D", help="Targets, of the same kinds.")] = "",
     methods: Annotated[str, typer.Option(metavar="M,N", help="See morph methods.")] = "flow",
-    seeds: Annotated[str, typer.Option(metavar="1,2", help="Seeds of random choices.")] = "42",
+    seeds: Annotated[str, typer.Option(metavar="1,2", help="Random seeds.")] = "42",
     config: ConfigOptions,
     submission: SubmissionOptions,
     watch: WatchOption = False,
     quiet: QuietOption = False,
     service: ServiceOptions,
 ) -> None:
-    """Have every combination of sources, targets, methods and seeds computed, or show a sweep."""
+    """Submit every combination of sources, targets, methods and seeds, or show a sweep."""
     if not sweep_id and not (sources and targets):
         raise ConfigError(
             "A sweep needs --sources and --targets.",
-            "Name them, separated by commas, or give the id of a sweep to be shown.",
+            "Give both, separated by commas, or the id of a sweep to show.",
         )
     with service.connect() as client:
         if sweep_id:

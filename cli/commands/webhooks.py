@@ -1,4 +1,4 @@
-"""Commands on webhooks: whom the service tells of one's jobs."""
+"""Commands on webhooks: URLs that the service notifies of one's jobs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOOK_SECONDS = 0.5
 
 app: typer.Typer = typer.Typer()
 webhooks: typer.Typer = typer.Typer(
-    help="URLs that are told when the state of your jobs changes.", no_args_is_help=True
+    help="URLs that are notified when the state of your jobs changes.", no_args_is_help=True
 )
 app.add_typer(webhooks, name="webhooks", rich_help_panel=PANEL)
 
@@ -42,35 +42,35 @@ def list_webhooks(service: ServiceOptions) -> None:
         found = client.webhooks()
     rows = ((each.id, each.url, " ".join(each.states), each.owner) for each in found)
     service.print(
-        {"webhooks": found}, lambda: print_table(("webhook", "url", "tells of", "owner"), rows)
+        {"webhooks": found}, lambda: print_table(("webhook", "url", "states", "owner"), rows)
     )
 
 
 @webhooks.command("create")
 @expand_groups
 def create_webhook(
-    url: Annotated[str, typer.Argument(metavar="URL", help="Where to send the messages.")],
+    url: Annotated[str, typer.Argument(metavar="URL", help="URL to send the messages to.")],
     *,
     state: Annotated[
         list[str] | None,
         typer.Option(
-            help="queued, running, succeeded, failed, cancelled or timed_out, again and again; "
-            "the last four if not given."
+            help="queued, running, succeeded, failed, cancelled or timed_out; repeat for several. "
+            "Default: the last four."
         ),
     ] = None,
     secret: Annotated[
         str | None,
-        typer.Option(help="What messages are signed with; a new one if not given."),
+        typer.Option(help="Secret that messages are signed with; default: a new one."),
     ] = None,
     service: ServiceOptions,
 ) -> None:
-    """Have URL told of your jobs; prints the id and the secret, which is not shown again."""
+    """Notify URL of your jobs; prints the id and the secret, which is not shown again."""
     with service.connect() as client:
         wanted = {"states": state} if state else {}
         webhook = client.create_webhook(url, secret=secret, **wanted)
     service.print(webhook, f"{webhook.id}  {webhook.secret}")
     if not service.as_json:
-        typer.echo("Keep the secret: it is not shown again.", err=True)
+        typer.echo("Save the secret: it will not be shown again.", err=True)
 
 
 @webhooks.command("delete")
@@ -98,10 +98,10 @@ def test_webhook(webhook: WebhookArgument, service: ServiceOptions) -> None:
 def show_log(
     webhook: WebhookArgument,
     *,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many messages.")] = 20,
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number of messages.")] = 20,
     service: ServiceOptions,
 ) -> None:
-    """Show what was sent to a webhook and what became of it, the newest first."""
+    """Show messages to a webhook and whether they were delivered, the newest first."""
     with service.connect() as client:
         found = list(islice(client.deliveries(webhook), limit))
     rows = (
@@ -111,7 +111,7 @@ def show_log(
         )
         for each in found
     )  # fmt: skip
-    header = ("time", "message", "job", "state", "attempts", "last answer")
+    header = ("time", "message", "job", "state", "attempts", "last response")
     service.print({"deliveries": found}, lambda: print_table(header, rows))
 
 
@@ -127,10 +127,10 @@ def _attempted(client: MorphClient, webhook: str, delivery: Delivery) -> Deliver
 
 def _in_words(delivery: Delivery) -> str:
     if not delivery.attempts:
-        return "not attempted yet; does the janitor of the service run?"
+        return "not attempted yet; is the janitor of the service running?"
     again = ""
     if delivery.next_attempt_at:
-        again = f" It is tried again at {local_time(delivery.next_attempt_at)}."
+        again = f" It will be tried again at {local_time(delivery.next_attempt_at)}."
     return f"{delivery.state}: {_last_answer(delivery)}{again}"
 
 

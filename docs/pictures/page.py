@@ -141,7 +141,7 @@ def _link_is_made(client: MorphClient, job: str) -> Callable[[Page], None]:
 
 
 def _failure_is_told(page: Page) -> None:
-    expect(page.locator(".headline")).to_contain_text("cannot go on")
+    expect(page.locator(".headline")).to_contain_text("cannot continue")
     canvas = page.locator(".scene canvas")
     expect(canvas).to_have_attribute("aria-label", re.compile("^Frame "))
     expect(page.locator(".surface-words")).to_contain_text("from the target")
@@ -154,7 +154,7 @@ def _display_is_open(page: Page) -> None:
         page.keyboard.press("t")
     page.get_by_label("Cut", exact=True).select_option("z")
     page.get_by_label("Pace", exact=True).select_option("in-out")
-    expect(page.get_by_label("Played")).to_be_visible()
+    expect(page.get_by_label("Repeat")).to_be_visible()
 
 
 def _keys_are_listed(page: Page) -> None:
@@ -176,7 +176,7 @@ def _shapes_are_placed(page: Page) -> None:
     """Two pairs of landmarks, and handles that turn the source."""
     _previews_are_there(page)
     landmarks = page.get_by_role("region", name="Landmarks")
-    pick = landmarks.get_by_role("button", name="Pick in the pictures")
+    pick = landmarks.get_by_role("button", name="Pick in the views")
     pick.click()
     for across in (-20, 20):
         for label in ("From", "To"):
@@ -189,8 +189,8 @@ def _shapes_are_placed(page: Page) -> None:
     expect(landmarks.get_by_role("listitem")).to_have_count(2)
     pick.click()
     source = page.get_by_role("region", name="From", exact=True)
-    source.get_by_text("Turn and place").click()
-    source.get_by_role("button", name="Turn", exact=True).click()
+    source.get_by_text("Rotate and move").click()
+    source.get_by_role("button", name="Rotate", exact=True).click()
     page.mouse.move(0, 0)
 
 
@@ -243,7 +243,7 @@ def _picture(browser: Browser, server: str, view: View, width: str, scheme: Sche
     page = context.new_page()
     page.goto(view.path)
     view.prepare(page)
-    expect(page.get_by_text("does not show 3D graphics")).to_have_count(0)
+    expect(page.get_by_text("does not support 3D graphics")).to_have_count(0)
     page.wait_for_timeout(SETTLED)
     height = page.evaluate("document.documentElement.scrollHeight")
     page.set_viewport_size({"width": horizontal, "height": height})  # what sticks is at the bottom

@@ -147,7 +147,7 @@ def _unknown(path: str, method: str) -> MorphError:
     """Why a method has no setting of this name, and what to do."""
     short = path.removeprefix(_PREFIX)
     if path == "method.name":
-        return ConfigError("The method is no option of a method.", "Name it with `method`.")
+        return ConfigError("The method is not an option of a method.", "Set it with `method`.")
     elsewhere = {other: option_fields(other) for other in names() if other != method}
     owners = [
         other
@@ -157,7 +157,7 @@ def _unknown(path: str, method: str) -> MorphError:
     if owners:
         return ConfigError(
             f"The method {method!r} has no setting called {short!r}.",
-            f"It belongs to {', '.join(owners)}: choose such a method, or leave it out.",
+            f"It belongs to {', '.join(owners)}: choose such a method, or omit the setting.",
         )
     own = setting_fields(method)
     known = [*own, *(path for fields in elsewhere.values() for path in fields)]
@@ -178,7 +178,7 @@ def _parsed(value: Any) -> Any:
 
 def _remedy(error: Any) -> str:
     if "time.dt" in error["msg"]:
-        return "Lower time.dt, or soften the material or coarsen the grid."
+        return "Lower time.dt, soften the material, or coarsen the grid."
     if "expected" in error.get("ctx", {}):
         return f"Choose one of {error['ctx']['expected']}."
     return "See `morph presets fast` for the meaning and range of every setting."

@@ -156,7 +156,8 @@ def export(
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
     if tracked and path.suffix.lower() != chosen.suffix:
         raise ConfigError(
-            f"A tracked surface is in one file, and {path.name} is none of {chosen.name}.",
+            f"A tracked surface is written to a single {chosen.name} file, but "
+            f"{path.name} is not one.",
             f"Name a file that ends in {chosen.suffix}.",
         )
     with opened(result) as trajectory:
@@ -178,7 +179,7 @@ def export(
         count = len(selection.frames)
         if single and count > 1:
             raise ConfigError(
-                f"A {chosen.suffix} file holds one frame, and {count} are asked for.",
+                f"A {chosen.suffix} file holds one frame, but {count} were requested.",
                 "Name a file that ends in .zip, or a folder.",
             )
         with writing(path):
@@ -222,9 +223,7 @@ def check(
     for name in fields:
         find_field(name)
     if tracked and fields:
-        raise ConfigError(
-            "A tracked surface carries no fields.", "Leave out the fields, or tracked."
-        )
+        raise ConfigError("A tracked surface cannot have fields.", "Omit the fields, or `tracked`.")
     if texture is not None:
         _check_texture(format, texture, tracked=tracked)
     if picture:
@@ -233,14 +232,14 @@ def check(
         check_rate(format, rate)
     if timing and frames is not None:
         raise ConfigError(
-            "What is played for a given time shows the whole run, not chosen frames.",
-            "Leave out the frames, or what says the time.",
+            "With a playing time the whole run is shown, not selected frames.",
+            "Omit the frames, or the options of the playing time.",
         )
     if timing and (not chosen.timed or (chosen.kind == "frame" and not tracked)):
         able = [name for name, known in FORMATS.items() if known.timed]
         raise ConfigError(
-            f"{chosen.name} has no playing time of its own.",
-            f"Formats that do are {', '.join(able)}; glb by a tracked surface.",
+            f"{chosen.name} does not support a playing time.",
+            f"Formats that do: {', '.join(able)}; glb only with a tracked surface.",
         )
     content = "tracked" if tracked else "surface" if surface else "points"
     wanted = {content} | ({"fields"} if fields else set())
@@ -248,18 +247,18 @@ def check(
         return
     if chosen.carries == {"surface"} and not tracked:
         raise ConfigError(
-            f"{chosen.name} holds surfaces only.", "Ask for a surface, or use another format."
+            f"{chosen.name} supports surfaces only.", "Request a surface, or use another format."
         )
     if chosen.carries == {"tracked"}:
         raise ConfigError(
-            f"{chosen.name} holds a mesh that moves, and nothing else.",
-            "Ask for a tracked surface, or use another format.",
+            f"{chosen.name} supports tracked surfaces only.",
+            "Request a tracked surface, or use another format.",
         )
     lacking = sorted(wanted - chosen.carries)[0]
     able = [name for name, known in FORMATS.items() if wanted <= known.carries]
-    lacking = "tracked surface" if lacking == "tracked" else lacking
+    lacking = {"tracked": "tracked surfaces", "surface": "surfaces"}.get(lacking, lacking)
     raise ConfigError(
-        f"{chosen.name} holds no {lacking}.", f"Formats that do are {', '.join(able)}."
+        f"{chosen.name} does not support {lacking}.", f"Formats that do: {', '.join(able)}."
     )
 
 
@@ -267,8 +266,8 @@ def _check_picture(format: Format, picture: PictureOptions) -> None:
     if "picture" not in format.carries:
         drawn = [name for name, known in FORMATS.items() if "picture" in known.carries]
         raise ConfigError(
-            f"{format.name} holds geometry, of which no picture is drawn.",
-            f"Formats that are drawn are {', '.join(drawn)}.",
+            f"{format.name} stores geometry, not rendered pictures.",
+            f"Rendered formats: {', '.join(drawn)}.",
         )
     picture.check(format.name)
 
@@ -276,13 +275,13 @@ def _check_picture(format: Format, picture: PictureOptions) -> None:
 def _check_texture(format: str, size: int, *, tracked: bool) -> None:
     if not LEAST_TEXTURE <= size <= LARGEST_TEXTURE:
         raise ConfigError(
-            f"A texture of {size} pixels an edge is out of range.",
-            f"Ask for {LEAST_TEXTURE} to {LARGEST_TEXTURE}.",
+            f"A texture width of {size} pixels is out of range.",
+            f"Use {LEAST_TEXTURE} to {LARGEST_TEXTURE}.",
         )
     if "texture" not in find(format).carries or not tracked:
         raise ConfigError(
-            "A texture belongs to a tracked surface in a GLB.",
-            "Ask for a tracked surface and the format glb, or leave out the texture.",
+            "Textures are supported only for a tracked surface in a GLB.",
+            "Request a tracked surface and the format glb, or omit the texture.",
         )
 
 
@@ -294,5 +293,5 @@ def _indices(
     if frames is None:
         return tuple(range(trajectory.frame_count))[-1 if only_last else 0 :]
     if not frames:
-        raise ConfigError("No frame is asked for.", "Name at least one.")
+        raise ConfigError("No frame was requested.", "Request at least one.")
     return tuple(dict.fromkeys(trajectory.index(frame) for frame in frames))

@@ -71,8 +71,8 @@ def write(selection: Selection, path: Path) -> None:
     timing = selection.timing
     if timing and timing.repeat == "loop":
         raise ConfigError(
-            "A tracked surface ends as another mesh than it begins, so that no loop closes.",
-            "Play it as ping-pong, or make a video, which may be a loop.",
+            "A tracked surface ends as a different mesh than it begins with, so it cannot loop.",
+            "Play it as ping-pong, or make a video, which can loop.",
         )
     targets = max(1, len(set(selection.frames)) - 1)
     surface = track_surface(

@@ -74,7 +74,7 @@ FORMAT = Format(
     kind="frame",
     carries=frozenset({"points", "surface", "fields", "tracked", "texture"}),
     timed=True,
-    description="Points, a surface or a moving mesh, coloured by the first field, or as the "
-    "shapes are; browsers, Blender, game engines",
+    description="Points, a surface or a moving mesh, coloured by the first field or as "
+    "the shapes; browsers, Blender, game engines",
     write=write,
 )

@@ -240,7 +240,8 @@ def _built(name: str) -> str:
         return (VIEWER / name).read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ResultError(
-            "The viewer is not built in this checkout.", "Run `make page`, which needs Node.js."
+            "The viewer has not been built in this checkout.",
+            "Run `make page`, which needs Node.js.",
         ) from None
 
 
@@ -251,6 +252,6 @@ FORMAT = Format(
     carries=frozenset({"points", "tracked"}),
     timed=True,
     media_type="text/html",
-    description="One page with a viewer for any browser, which needs no network; embed it anywhere",
+    description="One page with a viewer that works offline in any browser; embed it anywhere",
     write=write,
 )

@@ -55,6 +55,6 @@ FORMAT = Format(
     media_type="model/obj",
     kind="frame",
     carries=frozenset({"points", "surface"}),
-    description="Points or a surface as text; every 3D program",
+    description="Points or a surface as text; any 3D program",
     write=write,
 )

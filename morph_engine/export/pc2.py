@@ -49,8 +49,8 @@ def _check_even(frames: Sequence[int]) -> None:
     if len(set(np.diff(frames))) > 1:
         shown = ", ".join(map(str, frames))
         raise ConfigError(
-            f"A point cache has samples at even distances, and frames {shown} are not.",
-            "Ask for all frames, or for a range such as 0-20.",
+            f"A point cache needs evenly spaced frames, and frames {shown} are not.",
+            "Request all frames, or a range such as 0-20.",
         )
 
 

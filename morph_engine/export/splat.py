@@ -113,7 +113,7 @@ FORMAT = Format(
     suffix=".ply",
     kind="frame",
     carries=frozenset({"points", "surface", "fields"}),
-    description="Gaussian splats, coloured by the first field, or as the shapes are; "
+    description="Gaussian splats, coloured by the first field or as the shapes; "
     "SuperSplat, splat viewers of three.js, Unity and Unreal",
     write=write,
 )

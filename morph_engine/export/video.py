@@ -53,7 +53,9 @@ def _format(
     )
 
 
-MP4 = _format("mp4", "video/mp4", "A video, coloured by the first field; everywhere", extra="video")
+MP4 = _format(
+    "mp4", "video/mp4", "A video, coloured by the first field; plays everywhere", extra="video"
+)
 WEBM = _format(
     "webm", "video/webm", "A video (VP9), coloured by the first field; browsers", extra="video"
 )
@@ -63,10 +65,10 @@ MOV = _format(
     "A video for editing (ProRes 4444), coloured by the first field",
     extra="video",
 )
-GIF = _format("gif", "image/gif", "A short video in 256 colours; everywhere")
+GIF = _format("gif", "image/gif", "A short video in 256 colours; plays everywhere")
 PNG = _format(
     "png",
     "application/zip",
-    "A picture per frame in a zip archive; every program",
+    "One picture per frame in a zip archive; any program",
     suffix=".zip",
 )

@@ -80,7 +80,7 @@ def automatic_fit(solids: Sequence[Solid], half_extent: float) -> tuple[list[Sim
     union = np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
     together = [_centred(union, min(usual[0].scale, _scale_to(union, reach)))] * len(solids)
     if all_suit(together):
-        text = f"{every} scaled by {_number(together[0].scale)} and moved alike"
+        text = f"{every} scaled by {_number(together[0].scale)} and moved together"
         return together, text + REASON
     scale = min(usual[0].scale, *(_scale_to(solid.bounds, reach) for solid in solids[1:]))
     one_scale = [_centred(solid.bounds, scale) for solid in solids]

@@ -224,6 +224,6 @@ class _Textures:
 
     def leave_out(self, why: str, remedy: str) -> None:
         """Say that a texture is left out, and why."""
-        sentence = f"A texture {why} and has been left out. {remedy} to see it."
+        sentence = f"A texture {why} and has been ignored. {remedy} to use it."
         if sentence not in self.sentences:
             self.sentences += (sentence,)

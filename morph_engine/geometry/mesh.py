@@ -32,7 +32,7 @@ FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9
 
-SPLATS_FILLED = "The Gaussian splats have been turned into a solid, and a surface put around it."
+SPLATS_FILLED = "The Gaussian splats have been converted to a solid with a surface around it."
 
 AREA_LIMIT = 30.0
 """Most surface area, in areas of the bounding box; a fine foam has 10, scrambled indices 1000."""
@@ -117,13 +117,13 @@ def make_mesh(
         )
     distinct = _distinct(points, triangles)
     if len(distinct) < len(triangles):
-        repairs += (f"{len(triangles) - len(distinct)} repeated faces have been dropped.",)
+        repairs += (f"{len(triangles) - len(distinct)} duplicate faces have been removed.",)
         triangles = triangles[distinct]
         colors = colors and colors.of_faces(distinct)
     reversed_ = reversed_faces(points, triangles)
     if reversed_.any():
         triangles, colors = _turned(triangles, colors, reversed_)
-        repairs += (f"{np.count_nonzero(reversed_)} faces looked inwards and have been turned.",)
+        repairs += (f"{np.count_nonzero(reversed_)} faces pointed inwards and have been flipped.",)
     volume = signed_volume(points, triangles)
     if abs(volume) <= 1e-9 * np.linalg.norm(np.ptp(points, axis=0)) ** 3:
         raise MeshError(f"{name} has no volume.", "Use a mesh that encloses a solid.")
@@ -136,7 +136,7 @@ def make_mesh(
         )
     if volume < 0:
         triangles, colors = _turned(triangles, colors, np.ones(len(triangles), np.bool_))
-        repairs += ("The surface was inside out and has been turned.",)
+        repairs += ("The surface was inside out and has been flipped.",)
     digest = sha256 or _digest(points, triangles, colors)
     return Mesh(points, triangles, name, digest, repairs, colors=colors)
 
@@ -193,11 +193,11 @@ def load_mesh(path: str | Path) -> Mesh:
             "Check that the file is complete, or export the mesh again as OBJ, STL or GLB.",
         ) from error
     if companions and companions.missing:
-        left_out += (f"{companions.missing[0]} is not in the archive and has been left out.",)
+        left_out += (f"{companions.missing[0]} is not in the archive and has been ignored.",)
     materials = re.search(rb"^mtllib\s+(\S.*?)\s*$", content, re.MULTILINE)
     if kind == "obj" and materials and not companions and colors is None:
         name = materials[1].decode("utf-8", "replace")
-        left_out += (f"For colours of {name}, put both files into a ZIP archive.",)
+        left_out += (f"To use the colours of {name}, put both files into a ZIP archive.",)
     mesh = make_mesh(
         vertices,
         faces,
@@ -234,7 +234,7 @@ def _read(path: Path) -> bytes:
         if size > FILE_BYTES_LIMIT:
             raise MeshError(
                 f"{path.name} has {size / 2**20:.0f} MiB, more than {FILE_BYTES_LIMIT >> 20}.",
-                "Decimate the mesh; the simulation sees no detail below half a grid unit.",
+                "Decimate the mesh; the simulation resolves no detail below half a grid unit.",
             )
         data = path.read_bytes()
     except OSError as error:
@@ -312,7 +312,7 @@ def _check_obj(data: bytes) -> None:
     relative = re.search(rb"(?m)^f[ \t](?:.*[ \t])?-[0-9]", data)
     if relative and data.find(b"\nv ", relative.start()) >= 0:
         raise MeshError(
-            "The OBJ file counts vertices backwards, in the midst of their list.",
+            "The OBJ file uses relative vertex indices between its vertices.",
             "Export the mesh again with absolute indices, or as STL or GLB.",
         )
 

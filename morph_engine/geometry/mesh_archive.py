@@ -43,14 +43,18 @@ def read_archive(data: bytes, name: str, kinds: Sequence[str], limit: int) -> tu
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = _unpacked(archive, name, limit)
     except (OSError, *UNREADABLE) as error:
-        raise MeshError(f"{name} is not a readable ZIP file.", "Make the archive again.") from error
+        raise MeshError(
+            f"{name} is not a readable ZIP file.", "Create the archive again."
+        ) from error
     found = sorted(path for path in members if PurePosixPath(path).suffix[1:].lower() in kinds)
     if not found:
-        raise MeshError(f"{name} holds no mesh.", "Put an OBJ, PLY, STL, OFF, GLB or glTF into it.")
+        raise MeshError(
+            f"{name} contains no mesh.", "Put an OBJ, PLY, STL, OFF, GLB or glTF file into it."
+        )
     if len(found) > 1:
         raise MeshError(
-            f"{name} holds {len(found)} meshes, such as {found[0]} and {found[1]}.",
-            "Make an archive for each.",
+            f"{name} contains {len(found)} meshes, such as {found[0]} and {found[1]}.",
+            "Create one archive for each.",
         )
     return found[0], members
 
@@ -59,11 +63,11 @@ def _unpacked(archive: zipfile.ZipFile, name: str, limit: int) -> Members:
     infos = [info for info in archive.infolist() if not info.is_dir() and not _hidden(info)]
     if len(infos) > FILES_LIMIT:
         raise MeshError(
-            f"{name} holds {len(infos)} files, more than {FILES_LIMIT}.",
-            "Put only the mesh, its materials and their pictures into it.",
+            f"{name} contains {len(infos)} files, more than {FILES_LIMIT}.",
+            "Put only the mesh, its materials and their textures into it.",
         )
     if any(info.flag_bits & 1 for info in infos):
-        raise MeshError(f"{name} is encrypted.", "Make the archive without a password.")
+        raise MeshError(f"{name} is encrypted.", "Create the archive without a password.")
     members, room = {}, limit
     for info in infos:
         with archive.open(info) as file:
@@ -71,8 +75,8 @@ def _unpacked(archive: zipfile.ZipFile, name: str, limit: int) -> Members:
         room -= len(content)
         if room < 0:
             raise MeshError(
-                f"{name} holds more than {limit >> 20} MiB.",
-                "Decimate the mesh, and scale its pictures down.",
+                f"{name} contains more than {limit >> 20} MiB.",
+                "Decimate the mesh and scale its textures down.",
             )
         members[info.filename.replace("\\", "/")] = content
     return members
@@ -147,5 +151,5 @@ def self_contained_gltf(path: str, members: Members) -> bytes:
             if content is not None:
                 item["uri"] = f"data:;base64,{base64.b64encode(content).decode('ascii')}"
             elif kind == "buffers":
-                raise MeshError(f"The archive lacks {uri}.", "Put it beside the glTF file.")
+                raise MeshError(f"The archive lacks {uri}.", "Put it next to the glTF file.")
     return json.dumps(header).encode()

@@ -169,8 +169,8 @@ def _posed(
     reach = float(np.abs(posed.box(solid.bounds)).max())
     if reach > half_extent:
         raise MeshError(
-            f"Scaled and moved as asked, {name} reaches {reach:.4g} grid units from the centre, "
-            f"and the domain ends at {half_extent:g}.",
+            f"Scaled and moved as requested, {name} reaches {reach:.4g} grid units from "
+            f"the centre, beyond the domain, which ends at {half_extent:g}.",
             f"Lower `placement.{name.removeprefix('the ')}.scale`, or move it less.",
         )
     return posed
@@ -187,9 +187,9 @@ def _turning(ups: list[Up | None], upright: Up) -> str:
     are, them = ("are", "them") if len(turned) > 1 else ("is", "it")
     others = "other shapes" if len(ups) > 2 else "other shape"
     return (
-        f"{names[0].upper()}{names[1:]} {are} given a quarter turn about x, since "
-        f"{'y' if upright == 'z' else 'z'} points upwards in {them} and {upright} in the {others}"
-        + COMES_BACK
+        f"{names[0].upper()}{names[1:]} {are} rotated by 90 degrees about x, since "
+        f"{'y' if upright == 'z' else 'z'} points upwards in {them} and {upright} in the "
+        f"{others}" + COMES_BACK
     )
 
 

@@ -41,7 +41,7 @@ MINIMUM_PARTICLES = 500
 LATTICE_LIMIT = 50_000_000
 """Most lattice points a mesh may ask for; the usual domain at 8 points per cell edge has 17 M."""
 
-FIT_REMEDY = "Let it be scaled and centred: set `sampling.fit` to auto or volume."
+FIT_REMEDY = "To have it scaled and centred, set `sampling.fit` to auto or volume."
 """Remedy for what is too large or too small."""
 
 CHUNK = 1 << 20

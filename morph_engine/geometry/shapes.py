@@ -191,8 +191,8 @@ def _text(text: str) -> Mesh:
     """A text as extruded letters."""
     if not text.split() or len(text) > TEXT_LIMIT:
         raise MeshError(
-            f"A text shape has from 1 to {TEXT_LIMIT} characters, not only spaces.",
-            "Write for instance text:Hello.",
+            f"A text shape must have 1 to {TEXT_LIMIT} characters, not only spaces.",
+            "Use, for instance, text:Hello.",
         )
     require("matplotlib", "shapely", "mapbox_earcut", extra="text", purpose="A text shape")
     from morph_engine.geometry.text import extruded_letters  # Matplotlib takes its time

@@ -86,7 +86,7 @@ def solid_of_splats(
         kept = kept[near.all(axis=1)]
     if not len(kept) or not np.ptp(centres[kept], axis=0).max() > 0:
         raise MeshError(
-            "None of the splats hides anything.", "Export them with opacities and positions."
+            "None of the splats is opaque.", "Export them with positions and opacities."
         )
     centres = centres[kept]
     cell = float(np.ptp(centres, axis=0).max() / CELLS)

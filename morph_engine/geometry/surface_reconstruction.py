@@ -187,7 +187,9 @@ def _interpolated(
         from_middle = np.abs(points - np.median(points, axis=0))
         points = points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
     if not len(points):
-        raise MeshError("There are no particles to put a surface around.", "Choose another frame.")
+        raise MeshError(
+            "There are no particles to compute a surface from.", "Choose another frame."
+        )
     radius = spacing / 2
     found, _ = pysplashsurf.reconstruction_pipeline(
         np.ascontiguousarray(points),

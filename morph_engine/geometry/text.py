@@ -47,7 +47,7 @@ def extruded_letters(text: str) -> list[Mesh]:
     font.set_size(FONT_SIZE, 72)
     outline = min((_outline(lines, font) for lines in sorted(layouts)), key=_span)
     if outline.is_empty:
-        raise MeshError("None of these characters leaves a mark.", "Write for instance text:Hello.")
+        raise MeshError("None of these characters is visible.", "Use, for instance, text:Hello.")
     size = TEXT_SPAN / _span(outline)
     outline = scale(outline, size, size, origin=(0, 0))
     line = LINE_HEIGHT * size
@@ -93,7 +93,7 @@ def _typefaces(text: str) -> list[str]:
             missing = still_missing
     if missing:
         raise MeshError(
-            f"No installed typeface has the letter {min(missing)!r}.",
+            f"No installed font has the character {min(missing)!r}.",
             "Use other characters, or install a font that has them where morph runs.",
         )
     return files

@@ -18,14 +18,16 @@ if TYPE_CHECKING:
 
 
 class DcdOptions(PointOptions):
-    """Direct Chamfer optimisation in which points weigh by the density around them."""
+    """Direct Chamfer optimisation with points weighted by the density around them."""
 
     name: Literal["dcd"] = "dcd"
     weighting: Literal["published", "inverse"] = Field(
-        "published", description="Dense regions weigh more, or sparse ones."
+        "published", description="Whether dense or sparse regions weigh more."
     )
-    neighbors: int = Field(8, ge=1, le=64, description="Neighbours whose distance is density.")
-    refresh_frames: Count = Field(5, description="Frames after which particles weigh anew.")
+    neighbors: int = Field(
+        8, ge=1, le=64, description="Neighbours whose distance defines the density."
+    )
+    refresh_frames: Count = Field(5, description="Frames between updates of the weights.")
 
 
 class Dcd(PointOptimization[DcdOptions]):

@@ -11,7 +11,7 @@ from morph_engine.sections import RegularizerConfig
 
 
 class DcoOptions(PointOptions):
-    """No physics: every point by itself descends the Chamfer distance, regularised if asked."""
+    """No physics: each point descends the Chamfer distance on its own, optionally regularised."""
 
     name: Literal["dco"] = "dco"
     regularizers: RegularizerConfig = RegularizerConfig()

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class DensityAwareOptions(PointOptions):
-    """Direct optimisation of the distance of Wu et al., which shares out crowded matches."""
+    """Direct optimisation of the distance of Wu et al., which discounts crowded matches."""
 
     cost: ClassVar[CostRates] = CostRates(9e-6, 6e-6, 0.8, 0.4)
 
     name: Literal["density_aware"] = "density_aware"
-    alpha: Positive = Field(0.2, description="Decay with the distance [1 / grid unit].")
+    alpha: Positive = Field(0.2, description="Rate of decay with distance [1 / grid unit].")
 
 
 class DensityAware(PointOptimization[DensityAwareOptions]):

@@ -90,42 +90,52 @@ class FlowOptions(MpmOptions):
     kernel: Kernel = Field("quadratic", description="B-spline interpolation.")
     watchdog: RestartingWatchdogConfig = RestartingWatchdogConfig()
     cell: Positive = Field(1.5, description="Edge of a grid cell of the flow [h].")
-    steps_per_frame: int = Field(4, ge=1, le=200, description="Time steps per frame, at least.")
+    steps_per_frame: int = Field(
+        4, ge=1, le=200, description="Minimum number of time steps per frame."
+    )
     like_parts: Literal["auto", "on", "off"] = Field(
         "auto",
-        description="Carry parts of the source to like parts of the target; auto: where the source "
-        "so carried meets the target.",
+        description="Carry parts of the source to similar parts of the target; auto: if the source "
+        "carried this way matches the target.",
     )
     landmarks: tuple[Landmark, ...] = Field(
-        (), max_length=64, description="Points of the source that end at points of the target."
+        (),
+        max_length=64,
+        description="Points of the source that are to end at points of the target.",
     )
     gain: Fraction = Field(
-        0.3, description="Share of an error of density that a quarter of a frame mends."
+        0.3, description="Share of a density error that is corrected in a quarter of a frame."
     )
     reach: Positive = Field(
-        4.0, description="Distances outside are compressed beyond this, so that limbs grow [dx]."
+        4.0,
+        description="Distances outside are compressed beyond this, so that limbs grow gradually "
+        "[dx].",
     )
     tension: NonNegative | None = Field(
         None,
-        description="Surface tension: the body is rounded by this half-way [dx]; none: 0, and 1 "
-        "where parts are not carried.",
+        description="Surface tension: how much the body is rounded half-way [dx]; None: 0, or 1 if "
+        "parts are not carried.",
     )
     depth: float = Field(0.35, description="Particles stay this far inside the surface [h].")
-    momentum: Fraction = Field(0.0, description="Share of velocity that is left after a frame.")
+    momentum: Fraction = Field(0.0, description="Share of velocity that remains after a frame.")
     material: MaterialConfig = MaterialConfig()
     memory: NonNegative = Field(
-        5.0, description="Frames after which matter has forgotten 63 % of its strain."
+        5.0, description="Frames after which 63 % of the strain has relaxed."
     )
     separation: Fraction = Field(
-        0.85, description="Particles closer than this move apart on the way [h]; 0: never."
+        0.85, description="Particles closer than this are moved apart on the way [h]; 0: never."
     )
-    final_separation: Fraction = Field(0.92, description="Likewise when the shape comes to rest.")
+    final_separation: Fraction = Field(0.92, description="The same when the shape comes to rest.")
     settling: Fraction = Field(
-        0.02, description="What settling moves particles in all, at most, over the mean path."
+        0.02,
+        description="Largest total movement of particles by settling, relative to the mean path.",
     )
-    rounds: int = Field(4, ge=0, le=40, description="Rounds of settling in a frame.")
+    rounds: int = Field(4, ge=0, le=40, description="Rounds of settling per frame.")
     rest: float = Field(
-        0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
+        0.1,
+        ge=0,
+        lt=1,
+        description="Share of the frames, at the end, during which the shape rests.",
     )
 
     def node_count(self, config: MethodConfig, *, radius: float, ratio: float) -> int:
@@ -141,8 +151,8 @@ class FlowOptions(MpmOptions):
         """Refuse landmarks, which belong to one source and one target."""
         if self.landmarks:
             raise ConfigError(
-                f"Landmarks lead from one shape to one other, and there are {count} targets.",
-                "Leave them out, or make a morph of each pair of shapes.",
+                f"Landmarks need exactly one target, and there are {count}.",
+                "Omit them, or make one morph for each pair of shapes.",
             )
 
 

@@ -25,7 +25,7 @@ class LateSmoothingConfig(SmoothingConfig):
     """Blend s of the new deformation gradient with the old one (algorithm 2.6)."""
 
     late_frame: int | None = Field(
-        15, ge=0, description="Frame from which `late_value` holds; None never."
+        15, ge=0, description="Frame from which `late_value` applies; None: never."
     )
 
 

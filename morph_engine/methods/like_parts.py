@@ -34,7 +34,7 @@ class Landmark(Section):
 
     source: Vector
     target: Vector
-    name: str = Field("", max_length=60, description="For your own use.")
+    name: str = Field("", max_length=60, description="A name of your choice.")
 
 
 class LikeParts:
@@ -80,9 +80,9 @@ class LikeParts:
         if found is None:
             return []
         message = (
-            f"Parts are {'' if self.warp else 'not '}carried to where they belong: the carried "
-            f"source departs from the target by {found.mismatch:.2f} distances between controls, "
-            f"with a strain of {found.strain:.2f}."
+            f"Parts are {'' if self.warp else 'not '}carried to similar parts: the "
+            f"carried source differs from the target by {found.mismatch:.2f} control "
+            f"spacings, with a strain of {found.strain:.2f}."
         )
         data = {"mismatch": found.mismatch, "strain": found.strain}
         return [Event(0, "registration", message, data)]
@@ -184,6 +184,6 @@ def _placed(
             raise ConfigError(
                 f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
                 f"outside the shape, which reaches from ({lowest}) to ({highest}).",
-                "Give it in the coordinates of the mesh, on its surface or inside.",
+                "Give a point in the coordinates of the mesh, on its surface or inside.",
             )
     return placed

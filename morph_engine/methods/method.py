@@ -92,8 +92,8 @@ class Method(ABC, Generic[OptionsT]):
         options = problem.config.method
         if type(options) is not self.Options:
             raise ConfigError(
-                f"These are no options of the method {self.name!r} as it is installed here.",
-                "Install the version of the method that they come from, or start a new run.",
+                f"The installed version of the method {self.name!r} does not accept these options.",
+                "Install the version of the method that wrote them, or start a new run.",
             )
         self.problem = problem
         self.options: OptionsT = options  # type: ignore[assignment]

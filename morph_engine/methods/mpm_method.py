@@ -48,8 +48,8 @@ class MpmOptions(MethodOptions):
         largest = COURANT_LIMIT * grid.dx / self.material.sound_speed
         if self.time.dt > largest:
             raise ValueError(
-                f"time.dt = {self.time.dt:g} s is beyond the stable limit {largest:.4g} s "
-                "of this material and grid"
+                f"time.dt = {self.time.dt:g} s exceeds the stability limit of "
+                f"{largest:.4g} s for this material and grid"
             )
 
 

@@ -55,12 +55,13 @@ class MethodOptions(Section):
             return  # a base of several methods
         if shared := cls.model_fields.keys() & {"method", *SharedConfig.model_fields}:
             raise ConfigError(
-                f"Method {name!r} has an option called {min(shared)!r}, as all methods have.",
+                f"Method {name!r} has an option called {min(shared)!r}, which all methods "
+                "already have.",
                 "Choose another name for the option.",
             )
         other = declared.get(name, cls)
         if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
-            raise ConfigError(f"There is a method called {name!r}.", "Choose another name.")
+            raise ConfigError(f"A method called {name!r} already exists.", "Choose another name.")
         declared[name] = cls
 
     @classmethod

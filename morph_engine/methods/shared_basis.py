@@ -21,7 +21,7 @@ class ControlDescentConfig(DescentConfig):
     """Descent on the control points, by AMSGrad (algorithm 8.2)."""
 
     learning_rate: Positive = Field(
-        0.03, description="Rate of AMSGrad on the control points [grid units]."
+        0.03, description="Learning rate of AMSGrad on the control points [grid units]."
     )
 
 

@@ -26,9 +26,9 @@ class SinkhornOptions(PointOptions):
     name: Literal["sinkhorn"] = "sinkhorn"
     kernel: Kernel = Field("cubic", description="B-spline interpolation.")
     blur: Positive = Field(
-        1.0, description="Length below which masses are not told apart [grid units]."
+        1.0, description="Length below which masses are not distinguished [grid units]."
     )
-    rounds: Count = Field(2, description="Rounds in which potentials are improved in each step.")
+    rounds: Count = Field(2, description="Rounds of updates of the potentials per step.")
 
 
 class Sinkhorn(PointOptimization[SinkhornOptions]):

@@ -21,7 +21,9 @@ class SwdOptions(PointOptions):
     cost: ClassVar[CostRates] = CostRates(160e-6, 6e-6, 0.5, 0.2)
 
     name: Literal["swd"] = "swd"
-    directions: int = Field(16, ge=1, le=1024, description="Lines to project on, anew each step.")
+    directions: int = Field(
+        16, ge=1, le=1024, description="Lines to project onto, drawn anew in each step."
+    )
 
 
 class Swd(PointOptimization[SwdOptions]):

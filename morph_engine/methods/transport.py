@@ -29,7 +29,7 @@ STEEPEST = 1.5
 
 
 class TransportOptions(MpmOptions):
-    """Matter steers to destinations that fill the target evenly, handed out by optimal transport.
+    """Matter is steered to destinations that fill the target evenly, by optimal transport.
 
     Destinations of the particles and the way there: docs/transport.md.
     """
@@ -43,20 +43,25 @@ class TransportOptions(MpmOptions):
 
     name: Literal["transport"] = "transport"
     destinations: Literal["even", "random"] = Field(
-        "even", description="Spread evenly over the target, or its points drawn at random."
+        "even", description="Spread evenly over the target, or drawn at random from its points."
     )
     sweeps: int = Field(
         8,
         ge=0,
-        description="Rounds in which neighbours exchange destinations to shorten their ways.",
+        description="Rounds in which neighbours exchange destinations to shorten their paths.",
     )
-    group: int = Field(100, ge=2, le=2000, description="Particles that exchange at a time.")
+    group: int = Field(
+        100, ge=2, le=2000, description="Number of particles that exchange at a time."
+    )
     rest: float = Field(
-        0.1, ge=0, lt=1, description="Share of the frames at the end in which the shape rests."
+        0.1,
+        ge=0,
+        lt=1,
+        description="Share of the frames, at the end, during which the shape rests.",
     )
     correction: NonNegative = Field(
         0.03,
-        description="What a particle may be moved in a step beyond the motion of the grid [h].",
+        description="Largest movement of a particle per step beyond the motion of the grid [h].",
     )
 
     def share_of_way(self, frame: float, frames: int) -> float:

@@ -94,13 +94,13 @@ METRICS: dict[str, MetricDefinition] = {
         "min(1, min_p d_other / h)",
         "h",
         "higher",
-        "smallest distance of two particles; not told apart beyond h",
+        "smallest distance between two particles, capped at h",
     ),
     "many_to_one": MetricDefinition(
         "#{j : j is nearest to some p} / N",
         "share",
         "higher",
-        "distinct nearest targets per particle; 1 when no two particles share one",
+        "distinct nearest target points per particle; 1 if no two particles share one",
     ),
     "targets_used": MetricDefinition(
         "#{j : j is nearest to some p} / M",
@@ -123,11 +123,11 @@ METRICS: dict[str, MetricDefinition] = {
         "mean_p det F_p", "ratio", "one", "volume over volume at rest, as far as the grid moved it"
     ),
     "max_move": MetricDefinition(
-        "max_p norm(x_p - x_p of the frame before)", "dx", "lower", "farthest way in a frame"
+        "max_p norm(x_p - x_p of the frame before)", "dx", "lower", "longest move in a frame"
     ),
     "max_speed": MetricDefinition("max_p norm(v_p)", "dx/s", "lower", "fastest particle"),
     "kinetic_energy": MetricDefinition(
-        "1/2 sum_p m_p norm(v_p)^2", "energy", "lower", "motion left in the cloud"
+        "1/2 sum_p m_p norm(v_p)^2", "energy", "lower", "remaining motion"
     ),
     # what the optimiser sees (algorithm 3, 5.1)
     "loss_physics": MetricDefinition(
@@ -146,19 +146,19 @@ METRICS: dict[str, MetricDefinition] = {
         "1/2 (mean_p omega_p d_fwd^2 + mean_j omega_j d_rev^2) + regularisers",
         "dx^2",
         "lower",
-        "objective of methods that move points; of density_aware, swd and sinkhorn their distance",
+        "objective of methods that move points; for density_aware, swd and sinkhorn their distance",
     ),
     "loss_transport": MetricDefinition(
         "mean_p norm(x_p - y_p)^2",
         "dx^2",
         "lower",
-        "how far `transport` is from where its particles belong by now, y_p",
+        "how far particles of `transport` are from where they should be by now, y_p",
     ),
     "correction": MetricDefinition(
         "mean_p sum of norm(moves beyond the motion of the grid in the frame)",
         "dx",
         "lower",
-        "what `transport` mends of the motion in a frame, and `flow` of its evenness",
+        "motion that `transport` corrects in a frame; for `flow`, moves that even out the fill",
     ),
     # how the frame was computed
     "dt": MetricDefinition("dt", "s", "higher", "time step, halved where a trial failed"),
@@ -166,7 +166,7 @@ METRICS: dict[str, MetricDefinition] = {
         "#{steps taken}", "count", "higher", "control steps of the frame that improved it"
     ),
     "failed_steps": MetricDefinition(
-        "#{steps refused}", "count", "lower", "control steps of which every trial was rejected"
+        "#{steps refused}", "count", "lower", "control steps whose trials were all rejected"
     ),
     # fill of the volume (algorithm 9.2)
     "iou": MetricDefinition(
@@ -184,7 +184,7 @@ METRICS |= {
         f"{percent} % quantile of rho_j",
         "ratio",
         "one",
-        f"density ratio that {percent} % of the target points stay below",
+        f"density ratio that {percent} % of the target points are below",
     )
     for percent in (1, 5, 50, 95, 99)
 }
@@ -194,10 +194,13 @@ METRICS |= {
         "mean_p [w(x_p) < 1/2]", "share", "lower", "particles outside the target mesh"
     ),
     "outside_mean": MetricDefinition(
-        "mean_{p outside} d_S(x_p)", "dx", "lower", "how far those are from its surface, 0 if none"
+        "mean_{p outside} d_S(x_p)",
+        "dx",
+        "lower",
+        "mean distance of these from its surface, 0 if none",
     ),
     "outside_max": MetricDefinition(
-        "max_{p outside} d_S(x_p)", "dx", "lower", "the farthest of those, 0 if none"
+        "max_{p outside} d_S(x_p)", "dx", "lower", "largest distance of these, 0 if none"
     ),
 }
 METRICS |= {
@@ -218,13 +221,13 @@ METRICS |= {
         "min_t volume(A_t) / schedule",
         "ratio",
         "one",
-        "matter pressed together on the way",
+        "matter compressed on the way",
     ),
     "volume_max": MetricDefinition(
         "max_t volume(A_t) / schedule",
         "ratio",
         "one",
-        "matter spread out on the way",
+        "matter spread thin on the way",
     ),
     "more_pieces": MetricDefinition(
         "max_t #{pieces of A_t} beyond both ends",
@@ -236,67 +239,67 @@ METRICS |= {
         "max_t Euler number of the surface beyond both ends",
         "count",
         "lower",
-        "holes, bubbles and bodies that neither end has, each 2",
+        "holes, bubbles and bodies that neither end has; each counts 2",
     ),
     "d2_min": MetricDefinition(
         "mean_p min_F mean_q norm(y_q - y_p - F (x_q - x_p))^2 / h^2",
         "h^2",
         "lower",
-        "how far neighbours q are shuffled, turns and stretches aside",
+        "how far neighbours q are shuffled, apart from rotation and stretch",
     ),
     "kept": MetricDefinition(
         "mean_p #{neighbours at the start that are so at the end} / 12",
         "share",
         "higher",
-        "neighbours that stay so",
+        "neighbours that remain neighbours",
     ),
     "gap_p01": MetricDefinition(
         "min_t 1 % quantile of d_other / h",
         "h",
         "higher",
-        "how near particles pass each other",
+        "how close particles pass each other",
     ),
     "gap_min": MetricDefinition(
         "min_t min_p d_other / h",
         "h",
         "higher",
-        "the nearest that two particles come",
+        "closest approach of two particles",
     ),
     "geodesic": MetricDefinition(
         "rms(g_1 - g_0) / mean(g_0)",
         "ratio",
         "lower",
-        "change of shortest paths g inside the body: like parts that part",
+        "change of shortest paths g inside the body: similar parts that separate",
     ),
     "detour": MetricDefinition(
         "sum_p length of path / sum_p norm(y_p - x_p)",
         "ratio",
         "lower",
-        "how far round the particles go",
+        "how much longer the paths are than straight lines",
     ),
     "action": MetricDefinition(
         "(sum_t rms_p step)^2 / mean_p norm(y_p - x_p)^2",
         "ratio",
         "lower",
-        "kinetic action over its lower bound, both in the best timing",
+        "kinetic action over its lower bound, both with the best timing",
     ),
     "settled": MetricDefinition(
         "sum_p length of moves beyond the simulation / sum_p length of path",
         "share",
         "lower",
-        "motion that the simulation did not make",
+        "share of motion not made by the simulation",
     ),
     "local_volume": MetricDefinition(
         "median_p (rho_0 / rho_1) / schedule",
         "ratio",
         "one",
-        "how much room particles have at the end, by the places of their neighbours",
+        "how much room particles have at the end, from the positions of their neighbours",
     ),
     "det_f_off": MetricDefinition(
         "mean_p abs(mean_q det F_q * rho_1 / rho_0 - 1)",
         "ratio",
         "lower",
-        "how far det F is from the change of the local volume",
+        "difference between det F and the change of the local volume",
     ),
     # the end against the mesh itself, by random points z of its volume
     "dense_t2s": MetricDefinition(
@@ -333,7 +336,7 @@ METRICS |= {
         "volume(A n mesh) / volume(A u mesh)",
         "share",
         "higher",
-        "overlap of the body with the mesh, stick-out of the balls included",
+        "overlap of the body with the mesh, including where the balls stick out",
     ),
     "mesh_iou_level": MetricDefinition(
         "the same, A offset to the mesh's volume",
@@ -345,13 +348,13 @@ METRICS |= {
         "5 % quantile of rho(z)",
         "ratio",
         "one",
-        "density ratio that 5 % of the target's volume stay below",
+        "density ratio that 5 % of the target's volume is below",
     ),
     "density_p95": MetricDefinition(
         "95 % quantile of rho(z)",
         "ratio",
         "one",
-        "density ratio that 95 % of the target's volume stay below",
+        "density ratio that 95 % of the target's volume is below",
     ),
     "surface_mean": MetricDefinition(
         "max(mean d_S from the surface, mean d_S back)",
@@ -363,7 +366,7 @@ METRICS |= {
         "max(95 % quantile of d_S from the surface, of d_S back)",
         "dx",
         "lower",
-        "distance that 95 % of the surface stay below",
+        "distance that 95 % of the surface is below",
     ),
     "normal_mean": MetricDefinition(
         "mean angle(normal, normal at the nearest point)",

@@ -4,9 +4,9 @@ NON_FINITE, OUTSIDE, INVERTED, TOO_FAST = 1, 2, 4, 8
 
 FAULTS = {
     NON_FINITE: "a value is not finite",
-    OUTSIDE: "a particle is out of the domain",
+    OUTSIDE: "a particle has left the domain",
     INVERTED: "a particle is turned inside out (det F <= 0)",
-    TOO_FAST: "a particle is faster than the grid allows",
+    TOO_FAST: "a particle moves faster than the grid allows",
 }
 
 

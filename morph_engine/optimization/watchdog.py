@@ -40,8 +40,8 @@ def restarted(frame: int, dt: float, cause: str) -> Event:
 
 def outside(frame: int, count: int) -> Event:
     """So many particles are out of the domain after a frame, and are left there."""
-    are = "particle is" if count == 1 else "particles are"
-    message = f"{count} {are} out of the domain, and left there."
+    are = "particle has" if count == 1 else "particles have"
+    message = f"{count} {are} left the domain."
     return Event(frame, "outside", message, {"count": count})
 
 

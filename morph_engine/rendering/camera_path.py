@@ -50,11 +50,12 @@ class CameraKey:
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1:
             raise ConfigError(
-                f"A camera key at {self.share:g} of the film.", "Its share goes from 0 to 1."
+                f"A camera key is at the time {self.share:g}.", "Times go from 0 to 1."
             )
         if not (abs(self.view.elevation) <= 90 and 0.1 <= self.view.zoom <= 100):
             raise ConfigError(
-                f"A camera key with elevation {self.view.elevation:g} and zoom {self.view.zoom:g}.",
+                f"A camera key has the elevation {self.view.elevation:g} and the zoom "
+                f"{self.view.zoom:g}.",
                 "Elevations go from -90 to 90 degrees, and zooms from 0.1 to 100.",
             )
 
@@ -78,7 +79,7 @@ class CameraPath:
     def __post_init__(self) -> None:
         shares = [key.share for key in self.keys]
         if len(set(shares)) < len(shares):
-            raise ConfigError("Two camera keys are at the same time.", "Leave out one of them.")
+            raise ConfigError("Two camera keys have the same time.", "Omit one of them.")
 
     def at(self, share: float) -> View:
         """Where the eye is after a share of the film."""

@@ -46,7 +46,7 @@ class PictureOptions:
             )
         if background_color(self.background) is None and kind not in TRANSPARENT_KINDS:
             raise ConfigError(
-                f"A video of kind {kind} has no transparent background.",
+                f"A video of kind {kind} cannot have a transparent background.",
                 f"Use a colour, or one of the kinds {', '.join(TRANSPARENT_KINDS)}.",
             )
         if self.material:
@@ -71,6 +71,7 @@ def background_color(text: str) -> tuple[float, float, float] | None:
             names = ["transparent", *ImageColor.colormap]
             raise unknown_name("colour", text, names, list_known=False) from error
         raise ConfigError(
-            f"{text!r} is no colour.", "Write transparent, a name such as black, or #1e2a38."
+            f"{text!r} is not a colour.",
+            "Use transparent, a name such as black, or a code such as #1e2a38.",
         ) from error
     return red / 255, green / 255, blue / 255

@@ -345,17 +345,17 @@ def video(
     chosen = "png" if folder or still else kind or KINDS.get(path.suffix.lower())
     if chosen is None:
         raise ConfigError(
-            f"{path.name} says no kind of video.",
-            "Name a file that ends in .mp4 or .gif, .webm, .mov, .png for one frame, or .zip for a "
-            "PNG file of each, or a folder for these.",
+            f"The name {path.name} does not tell the kind of video.",
+            "Name a file that ends in .mp4, .webm, .mov or .gif; in .png for one frame; "
+            "or in .zip, or a folder, for one PNG file per frame.",
         )
     options = PictureOptions(size, TURN if turntable else camera, background, material)
     options.check(chosen)
     check_rate(chosen, timing.fps if timing else fps)
     if timing and frames is not None:
         raise ConfigError(
-            "A film of a given time shows the whole run, not chosen frames.",
-            "Leave out the frames, or what says its time.",
+            "With a playing time the whole run is shown, not selected frames.",
+            "Omit the frames, or the options of the playing time.",
         )
     if field:
         find_field(field)
@@ -404,8 +404,8 @@ def _one_frame(path: Path, frames: Sequence[int] | None, timing: Timing | None) 
     """
     if timing or (frames is not None and len(frames) != 1):
         raise ConfigError(
-            f"{path.name} holds one picture, and more are asked for.",
-            "Name one frame, or a file that ends in .zip for a PNG file of each.",
+            f"{path.name} holds one picture, but several were requested.",
+            "Request one frame, or name a file that ends in .zip for one PNG file per frame.",
         )
     return (-1,) if frames is None else frames
 

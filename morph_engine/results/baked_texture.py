@@ -64,14 +64,14 @@ def check_texture(selection: Selection) -> None:
     trajectory = selection.trajectory
     if trajectory.colors is None:
         raise ConfigError(
-            "The shapes have no colours that a texture could show.",
-            "Leave out the texture, or give a mesh file that has colours.",
+            "The shapes have no colours for a texture.",
+            "Omit the texture, or use a mesh file that has colours.",
         )
     legs = {trajectory.leg_of(frame) for frame in selection.frames}
     if len(legs) > 1:
         raise ConfigError(
-            f"A texture goes from one shape to the next, and these frames lie on {len(legs)} legs.",
-            "Ask for the frames of one leg, or leave out the texture.",
+            f"A texture can cover only one leg, and these frames span {len(legs)} legs.",
+            "Request frames of one leg, or omit the texture.",
         )
     texture_atlas.require()
 

@@ -44,27 +44,32 @@ FIELDS: dict[str, FieldDefinition] = {
     "displacement": FieldDefinition(
         "Displacement", "dx", "how far the particle is from where it started"
     ),
-    "speed": FieldDefinition("Speed", "dx", "how far it has moved since the frame before"),
+    "speed": FieldDefinition(
+        "Speed", "dx", "how far the particle has moved since the previous frame"
+    ),
     "target_distance": FieldDefinition(
-        "Distance to target", "dx", "how far it is from the nearest target point"
+        "Distance to target", "dx", "how far the particle is from the nearest target point"
     ),
     "density": FieldDefinition(
         "Density",
         "ratio",
-        "particles around it over those of an even fill; above 1 is a clump, below 1 is thin",
+        "number of particles nearby relative to an even fill; above 1 is crowded, below "
+        "1 is sparse",
         diverging=True,
     ),
     "target_hits": FieldDefinition(
-        "Target hits", "count", "particles that share its nearest target point, itself included"
+        "Target hits",
+        "count",
+        "number of particles that share its nearest target point, including itself",
     ),
     "det_f": FieldDefinition(
         "Volume change",
         "ratio",
-        "det F: the volume over that at rest, as far as the grid moved the particle",
+        "det F: volume relative to that at rest, as far as the grid moved the particle",
         diverging=True,
     ),
     "overlap": FieldDefinition(
-        "Distance to neighbour", "h", "distance to the nearest other particle; 0 is a coincidence"
+        "Distance to neighbour", "h", "distance to the nearest other particle; 0 if they coincide"
     ),
 }
 
@@ -118,7 +123,7 @@ def field(
     if name == "det_f":
         if det_f is None:
             raise ResultError(
-                "This frame holds no det F.",
+                "This frame does not contain det F.",
                 "Choose another field; det F is stored by transport, joint and physics.",
             )
         return np.asarray(det_f, np.float32)

@@ -39,7 +39,7 @@ def forked_config(config: MorphConfig, overrides: Mapping[str, Any], frame: int)
             raise _fixed(name)
     if changed.frames <= frame + 1:
         raise ConfigError(
-            f"After frame {frame} no frame of {changed.frames} is left to compute.",
+            f"After frame {frame}, none of the {changed.frames} frames is left to compute.",
             "Fork at an earlier frame, or raise `frames`.",
         )
     return changed
@@ -80,6 +80,6 @@ def _value(tree: Mapping[str, Any], name: str) -> Any:
 
 def _fixed(name: str) -> ConfigError:
     return ConfigError(
-        f"A fork cannot change {name}: the frames that it begins with depend on it.",
-        "Leave it as it is, or compute all frames anew.",
+        f"A fork cannot change {name}: the frames it starts with depend on it.",
+        "Leave it unchanged, or start a new run.",
     )

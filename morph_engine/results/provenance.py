@@ -28,17 +28,19 @@ class Provenance(BaseModel, frozen=True):
     of the last one. What nobody noted is empty.
     """
 
-    code: str = Field("", description="SHA-256 of the code that shaped it, see `code_digest`.")
+    code: str = Field("", description="SHA-256 of the code that computed it, see `code_digest`.")
     commit: str = Field(
-        "", description="Of the checkout, with -dirty if its files had changed; empty without one."
+        "",
+        description="Commit of the checkout, with -dirty if files were modified; empty without a "
+        "checkout.",
     )
     device: str = Field("", description="cpu, cuda, vulkan or metal.")
     cpu: str = Field("", description="Name of the processor.")
-    gpu: str = Field("", description="Name of the NVIDIA GPU, if it computed.")
-    threads: int = Field(0, description="On the CPU.")
-    date: datetime | None = Field(None, description="When it ended, in UTC.")
-    wall_seconds: float = Field(0.0, description="By the clock [s].")
-    cpu_seconds: float = Field(0.0, description="Summed over threads [s].")
+    gpu: str = Field("", description="Name of the NVIDIA GPU, if one was used.")
+    threads: int = Field(0, description="Threads on the CPU.")
+    date: datetime | None = Field(None, description="Time when it ended, in UTC.")
+    wall_seconds: float = Field(0.0, description="Wall-clock time [s].")
+    cpu_seconds: float = Field(0.0, description="CPU time, summed over threads [s].")
 
     def after(self, earlier: Provenance) -> Provenance:
         """That of the whole run, where this is its last part, and other parts came before it."""

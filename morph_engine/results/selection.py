@@ -45,8 +45,8 @@ def check_snap(*, surface: bool, snap: bool) -> None:
     """
     if snap and not surface:
         raise ConfigError(
-            "Only a surface can be drawn to the meshes (snap), and none is asked for.",
-            "Ask for a surface (`surface`), or leave out `snap`.",
+            "Only a surface can be snapped to the meshes, and none was requested.",
+            "Request a surface (`surface`), or omit `snap`.",
         )
 
 

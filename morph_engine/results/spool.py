@@ -210,8 +210,8 @@ class Spool(SpoolReader):
             try:
                 if (path / _RUN).exists() and not replace:
                     raise ResultError(
-                        f"{path} holds an unfinished run.",
-                        "Continue it with `resume`, or delete that directory to start afresh.",
+                        f"{path} contains an unfinished run.",
+                        "Continue it with `resume`, or delete that directory to start over.",
                     )
                 _clear(path)
                 with replacing(path / _ARRAYS) as file:
@@ -431,7 +431,7 @@ def _check_same(path: Path, stored: Json, wanted: Json) -> None:
     for key in sorted(stored.keys() | wanted.keys()):
         if stored.get(key) != wanted.get(key):
             raise ResultError(
-                f"The unfinished run at {path} has another {_difference(key, stored, wanted)}.",
+                f"The unfinished run at {path} has a different {_difference(key, stored, wanted)}.",
                 "Resume it with the same inputs, options and software, or delete that directory.",
             )
 
@@ -479,7 +479,7 @@ def _plain(value: Any) -> Any:
 
 
 def _damaged(path: Path, how: str) -> DamagedError:
-    return DamagedError(f"{path} {how}.", "Delete the run directory and start the run afresh.")
+    return DamagedError(f"{path} {how}.", "Delete the run directory and start the run again.")
 
 
 @contextmanager

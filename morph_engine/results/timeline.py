@@ -83,13 +83,14 @@ class Timing:
     def __post_init__(self) -> None:
         if self.seconds is not None and not 0 < self.seconds <= 3600:
             raise ConfigError(
-                f"A film cannot last {self.seconds:g} seconds.", "Use more than 0, at most 3600."
+                f"A playing time of {self.seconds:g} s is out of range.",
+                "Use more than 0 and at most 3600.",
             )
         if not 1 <= self.fps <= 120:
-            raise ConfigError(f"{self.fps:g} frames per second.", "Use 1 to 120.")
+            raise ConfigError(f"{self.fps:g} frames per second is out of range.", "Use 1 to 120.")
         if not 0 <= self.hold <= 600:
             raise ConfigError(
-                f"A shape cannot rest for {self.hold:g} seconds.", "Use 0 to 600 seconds."
+                f"A pause of {self.hold:g} s is out of range.", "Use 0 to 600 seconds."
             )
 
 
@@ -151,8 +152,8 @@ def moments(
     """
     if timing.repeat == "loop" and not closed:
         raise ConfigError(
-            "A loop needs a run that comes back to its first shape, and this one does not.",
-            "Play it as ping-pong, or make the first shape the last target, too.",
+            "A loop needs a run that returns to its first shape, and this one does not.",
+            "Play it as ping-pong, or make a run whose last target is its first shape.",
         )
     steps = np.asarray(distances, np.float64) + LEAST_DISTANCE
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
@@ -161,8 +162,8 @@ def moments(
     moving = seconds - rests * timing.hold
     if moving <= 0:
         raise ConfigError(
-            f"{rests} rests of {timing.hold:g} s leave no time to move in {seconds:g} s.",
-            "Make all longer (`seconds`), or the rests shorter (`hold`).",
+            f"{rests} pauses of {timing.hold:g} s leave no time for motion in {seconds:g} s.",
+            "Choose a longer playing time (`seconds`) or shorter pauses (`hold`).",
         )
     total = sum(abs(travelled[b] - travelled[a]) for a, b in pairwise(visited))
     count = picture_count(stops, timing)

@@ -96,8 +96,8 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
     wanted = tuple(sorted(set(selection.frames)))
     if len(wanted) < 2:
         raise ConfigError(
-            "One frame has no motion to follow.",
-            "Ask for two frames or more, or leave out tracked.",
+            "A single frame has no motion to track.",
+            "Request two or more frames, or omit `tracked`.",
         )
     if selection.texture:
         check_texture(selection)
@@ -144,13 +144,13 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
     most = max(len(surfaces[0].vertices), len(surfaces[-1].vertices))
     if vertex_limit is not None and most > vertex_limit:
         selection.tell(
-            f"So many frames leave room for {vertex_limit} vertices: the triangles are larger than "
-            "usual. Fewer frames have more."
+            f"With this many frames there is room for only {vertex_limit} vertices, so "
+            "the triangles are larger than usual. Use fewer frames for finer triangles."
         )
     changes_at = first + change if len(meshes) > 1 else None
     if changes_at is not None:
         selection.tell(
-            f"The topology changes at frame {changes_at}: there a second mesh takes over."
+            f"The topology changes at frame {changes_at}, where a second mesh takes over."
         )
     return TrackedSurface(tuple(meshes), changes_at)
 

@@ -483,7 +483,7 @@ class Trajectory:
         if not -self.frame_count <= frame < self.frame_count:
             raise ResultError(
                 f"{self.path} has no frame {frame}.",
-                f"Its {self.frame_count} frames count from 0.",
+                f"Its {self.frame_count} frames are numbered from 0.",
             )
         return frame % self.frame_count
 
@@ -503,8 +503,8 @@ def _reading(path: Path, part: str = "") -> Iterator[None]:
         yield
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         if "memory allocation failed" in str(error):  # as HDF5 says it of a file that is sound
-            raise MemoryError(f"There is too little memory to read {path}.") from error
+            raise MemoryError(f"There is not enough memory to read {path}.") from error
         raise DamagedError(
             f"Cannot read {part}{path}, which is damaged or not a result file ({error}).",
-            "Copy it again from where it was made, or repeat the run.",
+            "Copy it again from the original, or repeat the run.",
         ) from error

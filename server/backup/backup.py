@@ -71,7 +71,10 @@ def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
     """
     unfinished = f"{DATABASE}.tmp", f"{RECORD}.tmp"  # where a backup was killed
     if folder.is_dir() and set(_names(folder)) - {RECORD, DATABASE, *unfinished, *FOLDERS}:
-        raise ConfigError(f"{folder} has files of another kind.", "Name a new or empty folder.")
+        raise ConfigError(
+            f"{folder} contains files that do not belong to a backup.",
+            "Name a new or empty folder.",
+        )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     (folder / RECORD).unlink(missing_ok=True)
     copies = []
@@ -118,13 +121,14 @@ def restore(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
     if record.database != _kind(settings):
         wanted = {
             "postgres": "Name an empty database in MORPH_DATABASE_URL.",
-            "sqlite": "Leave MORPH_DATABASE_URL out.",
+            "sqlite": "Unset MORPH_DATABASE_URL.",
         }
         raise ConfigError(f"This is a backup of {record.database}.", wanted[record.database])
     if has_tables(settings):
         raise ConfigError(
-            "There is a service already.",
-            "Name an empty database, and another data directory in MORPH_DATA_DIR.",
+            "A service already exists here.",
+            "Name an empty database in MORPH_DATABASE_URL, and another data directory in "
+            "MORPH_DATA_DIR.",
         )
     root = Storage(settings.data_dir).root
     for name in FOLDERS:
@@ -144,12 +148,13 @@ def _read_record(folder: Path) -> BackupRecord:
         record = BackupRecord.model_validate_json((folder / RECORD).read_bytes())
     except (OSError, ValidationError):
         raise ConfigError(
-            f"{folder} has no complete backup.", "Repeat morph backup, which goes on where it was."
+            f"{folder} does not contain a complete backup.",
+            "Repeat morph backup, which continues where it stopped.",
         ) from None
     if not _is_as_recorded(folder, record):
         raise ConfigError(
             f"Files of the backup in {folder} are missing or have changed since it was made.",
-            "Take another backup.",
+            "Use another backup.",
         )
     return record
 

@@ -82,7 +82,7 @@ def _sqlite_file(settings: Settings) -> Path:
 def _run(settings: Settings, program: str, *arguments: str) -> None:
     """Run a program of Postgres; the password is not among what other users can see of it."""
     if shutil.which(program) is None:
-        raise ExtraError(f"{program} is not here.", "apt-get install postgresql-client")
+        raise ExtraError(f"{program} is not installed.", "apt-get install postgresql-client")
     url = sa.make_url(settings.system_database_url).set(drivername="postgresql")
     password = {"PGPASSWORD": str(url.password)} if url.password else {}
     address = url.set(password=None).render_as_string()
@@ -93,5 +93,5 @@ def _run(settings: Settings, program: str, *arguments: str) -> None:
     if done.returncode:
         raise DatabaseDumpError(
             f"{program} failed: {done.stderr.strip() or done.returncode}",
-            "Mend that and repeat the command; it goes on where it was.",
+            "Fix this and repeat the command; it continues where it stopped.",
         )

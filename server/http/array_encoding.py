@@ -20,8 +20,8 @@ LEVELS = 65535
 
 HEADERS = {
     "Morph-Particles": ("integer", "Number of points."),
-    "Morph-Offset": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
-    "Morph-Scale": ("number", "Of u16: position = Morph-Offset + Morph-Scale x value."),
+    "Morph-Offset": ("number", "For u16: position = Morph-Offset + Morph-Scale x value."),
+    "Morph-Scale": ("number", "For u16: position = Morph-Offset + Morph-Scale x value."),
 }
 
 

@@ -40,10 +40,10 @@ def binary_responses(
         }
     responses: dict[int | str, dict[str, Any]] = {
         200: success,
-        304: {"description": "You have it already."},
+        304: {"description": "Not modified."},
     }
     if ranges:
-        responses[206] = {"content": content, "description": "The part asked for with Range."}
+        responses[206] = {"content": content, "description": "The requested range."}
     return responses
 
 

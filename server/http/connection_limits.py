@@ -118,8 +118,8 @@ class LimitedProtocol(HttpToolsProtocol):
         if self._head_bytes >= HEAD_BYTES:
             self._refuse(
                 431,
-                f"The address and headers are larger than {HEAD_BYTES >> 10} KiB.",
-                "Send less in the address and the headers, such as fewer cookies.",
+                f"The URL and headers are larger than {HEAD_BYTES >> 10} KiB.",
+                "Send a shorter URL and fewer headers, for instance fewer cookies.",
             )
         return b""
 
@@ -159,8 +159,8 @@ class LimitedProtocol(HttpToolsProtocol):
         if self._in_head and self._head_bytes:
             self._refuse(
                 408,
-                f"The headers have not come within {HEAD_SECONDS:g} s.",
-                "Send them again, over a steadier connection.",
+                f"The headers did not arrive within {HEAD_SECONDS:g} s.",
+                "Send the request again, over a more stable connection.",
             )
         else:
             self.transport.close()

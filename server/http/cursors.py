@@ -11,10 +11,10 @@ from pydantic import Field, TypeAdapter
 
 from chamfer_morph.server.http.problems import ProblemError
 
-Limit = Annotated[int, Query(ge=1, le=100, description="Items of a page.")]
+Limit = Annotated[int, Query(ge=1, le=100, description="Items per page.")]
 Cursor = Annotated[
     str | None,
-    Query(max_length=200, description="`next_cursor` of the page before; none for the first."),
+    Query(max_length=200, description="`next_cursor` of the previous page; omit it for the first."),
 ]
 
 _PLACE = TypeAdapter(
@@ -43,5 +43,5 @@ def decode_cursor(cursor: str | None) -> tuple[int, str] | None:
         return _PLACE.validate_json(text)
     except ValueError:
         raise ProblemError(
-            422, "This cursor is not one of ours.", "Pass `next_cursor` as it came, or none."
+            422, "This cursor is not valid.", "Pass `next_cursor` unchanged, or no cursor."
         ) from None

@@ -39,15 +39,15 @@ def refuse(method: str, headers: Headers) -> ProblemError | None:
     if not is_loopback(_name(host)):
         return ProblemError(
             403,
-            f"Without keys this service answers to the names of its own machine only, not to "
-            f"{host!r}.",
-            "Call it as 127.0.0.1 or localhost, or make a key.",
+            "Without keys, this service can be used only under the names of its own "
+            f"machine, not as {host!r}.",
+            "Use 127.0.0.1 or localhost, or make a key.",
         )
     if any(name.startswith(FORWARDED) for name in headers):
         return ProblemError(
             403,
-            "Without keys this service answers nobody through a proxy.",
-            "Make a key before others are let in.",
+            "Without keys, this service cannot be used through a proxy.",
+            "Make a key before you give others access.",
         )
     origin = headers.get("origin")
     foreign = origin is not None and origin.partition("://")[2].lower() != host.lower()
@@ -55,7 +55,7 @@ def refuse(method: str, headers: Headers) -> ProblemError | None:
     visit = method == "GET" and headers.get("sec-fetch-mode") == "navigate"
     if foreign or (site in ("cross-site", "same-site") and not visit):
         return ProblemError(
-            403, "A page of another site may not do this without a key.", "Make a key."
+            403, "Pages of other sites may not do this without a key.", "Make a key."
         )
     return None
 

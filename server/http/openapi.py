@@ -64,8 +64,8 @@ FURTHER_ERRORS: dict[str, tuple[int, ...]] = {
 """What neither the address nor the body of an operation tells."""
 
 HEADERS: dict[str, dict[str, Any]] = {
-    "Location": {"schema": {"type": "string"}, "description": "Where it is from now on."},
-    "Retry-After": {"schema": {"type": "integer"}, "description": "When to look next [s]."},
+    "Location": {"schema": {"type": "string"}, "description": "Address of the new resource."},
+    "Retry-After": {"schema": {"type": "integer"}, "description": "When to ask again [s]."},
 }
 
 MADE_BY = {

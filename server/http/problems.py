@@ -30,22 +30,22 @@ from morph_engine.errors import DamagedError, MorphError
 MEDIA_TYPE = "application/problem+json"
 
 PROBLEM_TYPES: dict[int, tuple[str, str]] = {
-    400: ("malformed", "The request cannot be read"),
-    401: ("unauthorized", "A valid key is needed"),
-    403: ("forbidden", "The key does not allow this"),
-    404: ("not-found", "There is no such thing"),
-    405: ("method-not-allowed", "This cannot be done here"),
-    408: ("stalled", "The upload stalled"),
-    409: ("conflict", "Not in this state"),
+    400: ("malformed", "Malformed request"),
+    401: ("unauthorized", "Valid key required"),
+    403: ("forbidden", "Not permitted with this key"),
+    404: ("not-found", "Not found"),
+    405: ("method-not-allowed", "Method not allowed"),
+    408: ("stalled", "Upload timed out"),
+    409: ("conflict", "Conflict"),
     413: ("too-large", "Too large"),
-    415: ("unsupported-type", "Not in a known format"),
-    416: ("range", "There is no such part of the file"),
-    422: ("invalid", "The request is not valid"),
-    429: ("too-many", "Too much at once"),
-    431: ("headers-too-large", "Too much before the body"),
-    500: ("internal", "This is a fault of the service"),
-    503: ("unavailable", "The service is not ready"),
-    507: ("disk-full", "The service has no room left"),
+    415: ("unsupported-type", "Unsupported format"),
+    416: ("range", "Range not satisfiable"),
+    422: ("invalid", "Invalid request"),
+    429: ("too-many", "Limit reached"),
+    431: ("headers-too-large", "Headers too large"),
+    500: ("internal", "Internal error"),
+    503: ("unavailable", "Service unavailable"),
+    507: ("disk-full", "Out of disk space"),
 }
 """Status to the stable name of the problem and its title."""
 
@@ -114,7 +114,7 @@ def shorten(text: str) -> str:
 
 def not_found(what: str, name: str) -> ProblemError:
     """There is none of that name, or none that the caller may see."""
-    return ProblemError(404, f"There is no {what} {name[:80]!r}.", "Check the id, and the key.")
+    return ProblemError(404, f"There is no {what} {name[:80]!r}.", "Check the id and the key.")
 
 
 def too_large(max_bytes: int) -> ProblemError:
@@ -122,9 +122,9 @@ def too_large(max_bytes: int) -> ProblemError:
     text = f"{max_bytes / 2**20:.0f} MiB" if max_bytes >= 1 << 20 else f"{max_bytes} bytes"
     return ProblemError(
         413,
-        f"This is larger than the {text} that are accepted.",
-        "Send less; a mesh may be decimated, for the simulation sees no detail below half a grid "
-        "unit.",
+        f"This is larger than the limit of {text}.",
+        "Send less data; a mesh can be decimated, as the simulation resolves no detail "
+        "below half a grid unit.",
         headers={"Connection": "close", "Retry-After": "60"},
     )
 
@@ -140,7 +140,7 @@ def disk_full() -> ProblemError:
     return ProblemError(
         507,
         "The disk of the service is full.",
-        "Try again later; whoever runs the service has to free some space.",
+        "Try again later; an administrator of the service has to free some space.",
         headers={"Retry-After": "60"},
     )
 
@@ -150,7 +150,7 @@ def damaged_result() -> ProblemError:
     return ProblemError(
         500,
         "The result of the job is damaged.",
-        "Retry the job; whoever runs the service finds in its log what is damaged.",
+        "Retry the job; the log of the service tells an administrator what is damaged.",
     )
 
 
@@ -177,11 +177,11 @@ def validation_problem(error: ValidationError | RequestValidationError) -> Probl
     ]
     first = faults[0]
     location = ".".join(str(part) for part in first["loc"])
-    more = f" There are {len(found)} faults." if len(found) > FAULTS_SHOWN else ""
+    more = f" There are {len(found)} errors." if len(found) > FAULTS_SHOWN else ""
     return ProblemError(
         422,
         (f"{location}: {first['msg']}." if location else f"{first['msg']}.") + more,
-        "See /docs for the fields and their ranges.",
+        "See /docs for the fields and their allowed values.",
         errors=faults,
     )
 
@@ -243,10 +243,12 @@ def as_problem(error: Exception) -> ProblemError:
             return as_problem(cause)
         return _http_problem(error.status_code, str(error.detail), error.headers)
     if isinstance(error, ClientDisconnect):
-        return ProblemError(400, "The body was cut off.", "Send it again.")
+        return ProblemError(400, "The request body is incomplete.", "Send it again.")
     if isinstance(error, JobChangedError):
         return ProblemError(
-            409, "Somebody else has changed the job meanwhile.", "Look where it stands by now."
+            409,
+            "The job was changed by another request in the meantime.",
+            "Check its current state.",
         )
     if is_disk_full(error.orig if isinstance(error, DBAPIError) else error):
         return disk_full()
@@ -254,8 +256,8 @@ def as_problem(error: Exception) -> ProblemError:
         return unavailable("The database does not answer.")
     return ProblemError(
         500,
-        f"This is a fault of the service: {type(error).__name__}.",
-        "Try again; if it happens again, report it with the log of the service.",
+        f"Internal error: {type(error).__name__}.",
+        "Try again; if the error persists, report it with the log of the service.",
     )
 
 
@@ -285,9 +287,9 @@ def _allowed_methods(app: FastAPI, path: str) -> list[str]:
 
 def _http_problem(status: int, detail: str, headers: Mapping[str, str] | None) -> ProblemError:
     remedies = {
-        404: "See /docs for the addresses there are.",
-        405: "See /docs for the methods of this address.",
-        416: "Ask for a range within the length that Content-Range names.",
+        404: "See /docs for all addresses.",
+        405: "See /docs for the methods that this address supports.",
+        416: "Request a range within the length given by Content-Range.",
     }
     return ProblemError(
         status, f"{detail.rstrip('.')}.", remedies.get(status, "See /docs."), headers=headers

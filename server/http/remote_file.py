@@ -64,8 +64,8 @@ def part_of(request: Request, etag: str, size: int) -> tuple[int, int]:
     if begin >= end:
         raise ProblemError(
             416,
-            f"The file has {size} bytes, and none of those that were asked for.",
-            "Ask for a range within the length that Content-Range names.",
+            f"The file has {size} bytes, none of them in the requested range.",
+            "Request a range within the length given by Content-Range.",
             headers={"Content-Range": f"bytes */{size}"},
         )
     return begin, end

@@ -72,13 +72,13 @@ class BodyLimitMiddleware:
                 with anyio.fail_after(min(self.timeout_seconds, left)):
                     message = await receive()
             except TimeoutError:
-                cause = f"Nothing has come for {self.timeout_seconds:g} s."
+                cause = f"No data arrived for {self.timeout_seconds:g} s."
                 if left < self.timeout_seconds:
-                    cause = f"Not all has come within {self.deadline_seconds:g} s."
+                    cause = f"The upload was not complete within {self.deadline_seconds:g} s."
                 raise ProblemError(
                     408,
                     cause,
-                    "Send it again, over a steadier connection.",
+                    "Send it again, over a more stable connection.",
                     headers={"Connection": "close"},
                 ) from None
             received += len(message.get("body", b""))

@@ -105,13 +105,15 @@ async def receive_form(
             raise ProblemError(413, error.message, "Send fewer and smaller parts.") from None
         raise ProblemError(
             422,
-            "The body is not a whole multipart form.",
-            "Let an HTTP library make it, as in `curl -F file=@bunny.obj`.",
+            "The body is not a complete multipart form.",
+            "Use an HTTP library to build it, or curl: `curl -F file=@bunny.obj`.",
         ) from None
     try:
         for name in form:
             if len(form.getlist(name)) > 1:
-                raise ProblemError(422, f"The form has two parts {name!r}.", "Send each part once.")
+                raise ProblemError(
+                    422, f"The form has two parts named {name!r}.", "Send each part only once."
+                )
         yield form
     finally:
         await form.close()
@@ -141,7 +143,7 @@ class _FormParser(MultiPartParser):
             self._count(len(chunk))
             yield chunk
         if not self._ended:
-            raise MultiPartException("The form was cut off.")
+            raise MultiPartException("The form is incomplete.")
 
 
 async def enter_in_thread(stack: AsyncExitStack, manager: AbstractContextManager[Value]) -> Value:

@@ -29,7 +29,8 @@ def get_preset(
     name: str,
     caller: Reader,
     method: Annotated[
-        str | None, Query(description="Show the options of this method, not of the preset's own.")
+        str | None,
+        Query(description="Show the options of this method instead of those of the preset's own."),
     ] = None,
 ) -> Resource:
     """A preset with all its settings."""
@@ -42,7 +43,7 @@ def get_preset(
 
 @router.get("/methods", operation_id="listMethods", summary="List methods")
 def list_methods(caller: Reader) -> list[Resource]:
-    """Ways to move the particles, the default first."""
+    """Methods to move the particles, the default first."""
     return [
         Resource(name=name, description=methods.options_of(name).summary())
         for name in methods.names()

@@ -48,7 +48,7 @@ class EventStream(EventSourceResponse):
     responses={
         200: {
             "content": {SSE: {"schema": {"type": "string"}}},
-            "description": "A page, or with `Accept: text/event-stream` a stream.",
+            "description": "A page, or a stream with `Accept: text/event-stream`.",
         }
     },
 )
@@ -60,16 +60,16 @@ async def get_events(
     after: Annotated[
         int, Query(ge=0, le=LARGEST_ID, description="Only events with a larger id.")
     ] = 0,
-    limit: Annotated[int, Query(ge=1, le=1000, description="Events of a page.")] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Events per page.")] = 100,
     last_event_id: Annotated[
-        str | None, Header(description="As `after`; browsers send it when they reconnect.")
+        str | None, Header(description="Like `after`; browsers send it when they reconnect.")
     ] = None,
 ) -> Any:
     """Attempts, finished frames, steps of the watchdog, problems and changes of state.
 
     With `Accept: text/event-stream` they come as server-sent events as they happen, each with the
-    same JSON as in a page; the stream ends once the job rests, after a last `state` event. A
-    stream that breaks off goes on with `Last-Event-ID`.
+    same JSON as in a page; the stream ends once the job has ended, after a last `state` event. An
+    interrupted stream can be resumed with `Last-Event-ID`.
     """
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = max(after, min(int(last_event_id[:17]), LARGEST_ID))

@@ -63,7 +63,7 @@ EXAMPLES: dict[str, Example] = {
         "value": {"format": "ply", "fields": ["density"], "units": "grid"},
     },
     "film": {
-        "summary": "A film of porcelain that turns once, in full HD",
+        "summary": "A full HD video in porcelain that turns once",
         "value": {
             "format": "mp4",
             "surface": True,
@@ -77,7 +77,7 @@ EXAMPLES: dict[str, Example] = {
 
 @router.get("/exports/formats", operation_id="listExportFormats", summary="List export formats")
 def list_formats(caller: Reader) -> list[ExportFormat]:
-    """What frames can be written as, and what each format holds."""
+    """The formats that frames can be written in, and what each can hold."""
     from morph_engine.export import FORMATS
 
     return [
@@ -91,7 +91,7 @@ def list_formats(caller: Reader) -> list[ExportFormat]:
     status_code=202,
     operation_id="exportJob",
     summary="Export a job",
-    responses={200: {"model": Export, "description": "It is there already."}},
+    responses={200: {"model": Export, "description": "The export already exists."}},
 )
 async def export_job(
     caller: Submitter,
@@ -101,9 +101,9 @@ async def export_job(
     response: Response,
     context: Context,
 ) -> Export:
-    """Have frames of a finished job written in another format. The same request is one export.
+    """Write frames of a finished job in another format. The same request is the same export.
 
-    Several frames in a format that holds one frame a file make a zip archive.
+    Several frames in a format with one frame per file are put into a zip archive.
     """
     result = await find_result(job, request, context)
     options = await anyio.to_thread.run_sync(_options, body, job, result)
@@ -124,7 +124,7 @@ async def export_job(
 def get_export(job: VisibleJob, export_id: str, context: Context) -> Export:
     """How far an export has come.
 
-    One that was under way when the service stopped is not there any more; ask for it again.
+    An export that was in progress when the service stopped is gone; request it again.
     """
     return _show(job.id, export_id, context)[0]
 
@@ -138,7 +138,7 @@ def get_export(job: VisibleJob, export_id: str, context: Context) -> Export:
 async def delete_export(
     caller: Submitter, job: VisibleJob, export_id: str, context: Context
 ) -> None:
-    """End an export that is under way, or remove its file."""
+    """Stop an export that is in progress, or delete its file."""
     _, stored = await anyio.to_thread.run_sync(_show, job.id, export_id, context)
     folder = context.storage.exports_dir(job.id)
     context.exports.cancel(job.id, export_id)
@@ -159,14 +159,17 @@ def get_export_file(
 ) -> Response:
     """The file of an export that is ready; its ETag is its SHA-256.
 
-    Understands Range, If-Range and If-None-Match.
+    Supports Range, If-Range and If-None-Match.
     """
     shown, stored = _show(job.id, export_id, context)
     if stored is None:
         if shown.problem is not None:
             raise ProblemError(409, shown.problem.cause, shown.problem.remedy)
         raise ProblemError(
-            409, "The export is not ready.", "Ask again soon.", headers={"Retry-After": RETRY_AFTER}
+            409,
+            "The export is not ready.",
+            "Try again in a moment.",
+            headers={"Retry-After": RETRY_AFTER},
         )
     path = context.storage.exports_dir(job.id) / stored.file
     return file_response(
@@ -186,7 +189,7 @@ def _start(options: ExportOptions, job: JobRecord, context: ServerContext) -> No
     if not running and context.exports.count(job.owner) >= MOST_PER_KEY:
         raise ProblemError(
             429,
-            f"{MOST_PER_KEY} exports of this key are under way.",
+            f"{MOST_PER_KEY} exports of this key are in progress.",
             "Wait for some to finish.",
             headers={"Retry-After": "10"},
         )
@@ -213,7 +216,7 @@ def _options(request: ExportRequest, job: JobRecord, result: Path) -> ExportOpti
     for frame in request.frames or ():
         if not -count <= frame < count:
             raise ProblemError(
-                422, f"There is no frame {frame}.", f"The {count} frames count from 0."
+                422, f"There is no frame {frame}.", f"The {count} frames are numbered from 0."
             )
     frames = request.frames and [frame % count for frame in dict.fromkeys(request.frames)]
     stat = result.stat()
@@ -251,7 +254,7 @@ def _show(
         raise ProblemError(
             404,
             f"There is no export {export_id[:80]!r} of this job.",
-            "Ask for it again with POST.",
+            "Request it again with POST.",
         )
     problem = _problem(flight.error) if flight.error else None
     return Export(

@@ -33,10 +33,10 @@ ValueFormat = Literal["u8", "f32"]
 HEADERS = {
     "Morph-Frame": ("integer", "Index of the frame."),
     "Morph-Particles": ("integer", "Number of values."),
-    "Morph-Low": ("number", "Value of the byte 0."),
-    "Morph-High": ("number", "Value of the byte 255."),
-    "Morph-Offset": ("number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
-    "Morph-Scale": ("number", "Of u8: value = Morph-Offset + Morph-Scale x byte."),
+    "Morph-Low": ("number", "Value of byte 0."),
+    "Morph-High": ("number", "Value of byte 255."),
+    "Morph-Offset": ("number", "For u8: value = Morph-Offset + Morph-Scale x byte."),
+    "Morph-Scale": ("number", "For u8: value = Morph-Offset + Morph-Scale x byte."),
 }
 
 Bound = Annotated[float | None, Query(allow_inf_nan=False)]
@@ -44,7 +44,7 @@ Bound = Annotated[float | None, Query(allow_inf_nan=False)]
 
 @router.get("/fields", operation_id="listFields", summary="List fields")
 def list_fields(caller: Reader) -> list[ParticleField]:
-    """What particles can be coloured by: one number for each particle and frame."""
+    """Quantities to colour particles by: one number for each particle and frame."""
     from morph_engine.results.fields import FIELDS
 
     return [ParticleField(name=name, **vars(field)) for name, field in FIELDS.items()]
@@ -69,9 +69,9 @@ async def get_field(
 ) -> Response:
     """A field of a finished frame, also while the job runs; /v1/fields names them.
 
-    `u8`: a byte for each particle; value = Morph-Offset + Morph-Scale x byte, clamped to the range
-    from `low` to `high`, by default that of the frame. `f32`: little-endian float32. A particle
-    that has no value, for it left all bounds, is a NaN in f32 and 0 in u8.
+    `u8`: a byte for each particle; value = Morph-Offset + Morph-Scale x byte, clamped to the
+    range from `low` to `high`, by default that of the frame. `f32`: little-endian float32. A
+    particle that has no value because it is out of all bounds is NaN in f32 and 0 in u8.
     """
     from morph_engine.results.fields import FIELDS
 
@@ -156,5 +156,5 @@ def _range(
     if upper < lower:
         if low is None:
             return upper, upper
-        raise ProblemError(422, f"high is {upper:g} and low {lower:g}.", "Give low below high.")
+        raise ProblemError(422, f"high is {upper:g} and low {lower:g}.", "Give a low below high.")
     return lower, upper

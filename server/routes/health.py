@@ -43,10 +43,10 @@ class Readiness(BaseModel):
 
     status: Literal["ok", "reading"] = Field(
         "ok",
-        description="`reading`: jobs can be listed, shown and cancelled, and what needs files is "
-        "answered 503.",
+        description="`reading`: jobs can be listed, shown and cancelled; requests that need files "
+        "get 503.",
     )
-    detail: str | None = Field(None, description="What is away, if anything.")
+    detail: str | None = Field(None, description="What is unavailable, if anything.")
 
 
 class StoredCounter(Collector):
@@ -77,46 +77,47 @@ class Metrics:
         self.registry: CollectorRegistry = CollectorRegistry()
         self.requests: Counter = Counter(
             "morph_requests",
-            "Answered requests.",
+            "Requests answered.",
             ("operation", "status"),
             registry=self.registry,
         )
         self.seconds: Histogram = Histogram(
             "morph_request_seconds",
-            "Time until an answer begins [s].",
+            "Time until the response begins [s].",
             ("operation",),
             registry=self.registry,
             buckets=(0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.25, 0.5, 1, 2.5, 5, 10, 30),
         )
         self.open: Gauge = Gauge(
-            "morph_requests_open", "Requests under way.", registry=self.registry
+            "morph_requests_open", "Requests in progress.", registry=self.registry
         )
         self.jobs: Gauge = Gauge("morph_jobs", "Jobs by state.", ("state",), registry=self.registry)
         self.failures: Counter = Counter(
             "morph_job_failures",
-            "Jobs that have failed or timed out since this API began, by kind of problem.",
+            "Jobs that have failed or timed out since this API process started, by kind "
+            "of problem.",
             ("kind",),
             registry=self.registry,
         )
         self.adoptions: StoredCounter = StoredCounter(
             "morph_adoptions",
-            "Times that jobs of a worker that was gone went back into the queue.",
+            "Times that jobs of a dead worker were put back into the queue.",
         )
         self.registry.register(self.adoptions)
         self.workers: Gauge = Gauge(
             "morph_workers",
-            "Worker slots: busy, idle, paused, or dead, which are gone and have jobs.",
+            "Worker slots: busy, idle, paused, or dead, which died with unfinished jobs.",
             ("state",),
             registry=self.registry,
         )
         self.queue_age: Gauge = Gauge(
             "morph_queue_age_seconds",
-            "Age of the job that waits longest [s].",
+            "Age of the longest-waiting job [s].",
             registry=self.registry,
         )
         self.disk_free: Gauge = Gauge(
             "morph_disk_free_bytes",
-            "Room left for the data directory [bytes].",
+            "Free space for the data directory [bytes].",
             registry=self.registry,
         )
         self.streams: Gauge = Gauge(
@@ -190,7 +191,7 @@ class MetricsMiddleware:
 
 @router.get("/livez", operation_id="livez", summary="Is the process alive?")
 async def livez() -> Health:
-    """Answers as long as the process does."""
+    """Answers as long as the process is alive."""
     return Health()
 
 
@@ -201,9 +202,9 @@ async def livez() -> Health:
     response_model_exclude_none=True,
 )
 def readyz(context: Context) -> Readiness:
-    """Answers once the database can be asked and the data directory has room.
+    """Succeeds if the database answers and the data directory has free space.
 
-    Where the object store is away, it says so and is ready all the same, for reading.
+    If the object store is unavailable, it says so but still counts as ready, for reading.
     """
     try:
         context.queue.ping()
@@ -212,7 +213,7 @@ def readyz(context: Context) -> Readiness:
         if is_disk_full(error):
             raise unavailable("The disk of the service is full.") from error
         what = "The data directory" if isinstance(error, OSError) else "The database"
-        raise unavailable(f"{what} cannot be used now.") from error
+        raise unavailable(f"{what} is not available at the moment.") from error
     if context.settings.object_store and (cause := context.store_watch.cause()):
         return Readiness(status="reading", detail=cause)
     return Readiness()
@@ -221,7 +222,7 @@ def readyz(context: Context) -> Readiness:
 @router.get(
     "/metrics",
     operation_id="metrics",
-    summary="Figures for Prometheus",
+    summary="Metrics for Prometheus",
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
     dependencies=[Depends(require_metrics_key)],
@@ -229,7 +230,7 @@ def readyz(context: Context) -> Readiness:
 def metrics(request: Request, context: Context) -> Response:
     """Requests, their times, jobs, workers and open streams, in Prometheus's text format.
 
-    With keys it needs that of the variable `MORPH_METRICS_KEY`, or one with the scope admin.
+    If there are keys, it needs the one in `MORPH_METRICS_KEY` or one with the scope admin.
     """
     metrics: Metrics = request.app.state.metrics
     metrics.refresh(context)

@@ -17,10 +17,10 @@ router: APIRouter = APIRouter(
 
 HEADERS = {
     "Morph-Particles": ("integer", "Number of particles."),
-    "Morph-Shapes": ("integer", "Number of shapes that the colours are of; 0 for no colours."),
+    "Morph-Shapes": ("integer", "Number of shapes with colours; 0 if there are none."),
     "Morph-Reached": (
         "string",
-        "Number of frames after which the matter has come to each of these shapes, with commas.",
+        "Number of frames after which each of these shapes is reached, separated by commas.",
     ),
 }
 
@@ -31,17 +31,17 @@ HEADERS = {
     summary="Colours of the particles",
     response_class=Response,
     responses=binary_responses(
-        "Red, green and blue in sRGB, a byte each, particle after particle and shape after shape.",
+        "Red, green and blue in sRGB, one byte each, particle by particle and shape by shape.",
         [BYTES],
         HEADERS,
     ),
 )
 async def get_colors(job: VisibleJob, request: Request, context: Context) -> Response:
-    """The colours that particles have in each shape, where any shape of the morph has colours.
+    """The colours of the particles in each shape, if any shape of the morph has colours.
 
-    After a share s of the frames between two shapes, a particle has the colour
-    a + (3 s^2 - 2 s^3) (b - a) of both, in linear light. While a leg of the morph is computed, one
-    of its last frames stands for its end. Where no shape has colours there are no bytes.
+    After a share s of the frames between two shapes, a particle has the colour a + (3 s^2 - 2
+    s^3) (b - a) of both, in linear light. While a leg of the morph is being computed, one of its
+    last frames stands for its end. If no shape has colours, the body is empty.
     """
     run = await context.compute(find_run_record, job, context)
     found = await find_colors(job, run, request, context)

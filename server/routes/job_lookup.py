@@ -68,7 +68,7 @@ def fetch_logs(jobs: Sequence[JobRecord], context: ServerContext) -> None:
             fetch(job, context, log_only=True)
     except StoreUnavailableError:
         context.store_is_away_until = time.monotonic() + AWAY_SECONDS
-        _LOG.warning("the object store does not answer; the progress of jobs may be old")
+        _LOG.warning("the object store does not answer; the progress of jobs may be out of date")
 
 
 VisibleJob = Annotated[JobRecord, Depends(find_job)]
@@ -88,7 +88,7 @@ def find_frame(index: int, job: VisibleJob, context: Context) -> Frame:
         raise ProblemError(
             404,
             f"There is no frame {index}{yet}.",
-            "See the job's progress for the number of frames.",
+            "Check the job's progress for the number of frames.",
         )
     return frame
 
@@ -107,12 +107,13 @@ def find_run_record(job: JobRecord, context: ServerContext) -> RunRecord:
     if run is None:
         if job.state.finished:
             raise ProblemError(
-                404, "The job never began, and has no particles.", "Retry or resume it."
+                404, "The job never started and has no particles.", "Retry or resume it."
             )
         raise ProblemError(
             404,
-            "The job has not begun, and has no particles yet.",
-            "Wait until it runs; /v1/shapes and /v1/meshes show the particles of a shape before.",
+            "The job has not started and has no particles yet.",
+            "Wait until it runs; until then /v1/shapes and /v1/meshes give the particles "
+            "of a shape.",
         )
     return run
 
@@ -140,7 +141,7 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
         raise ProblemError(
             409,
             f"The job is {job.state.value.replace('_', ' ')} and has no result.",
-            "Resume or retry it; it has finished no frame."
+            "Resume or retry it; it has not finished any frame."
             if job.state.finished
             else "Wait for it to finish; single frames can be fetched while it runs.",
             headers={} if job.state.finished else {"Retry-After": "5"},
@@ -157,9 +158,10 @@ def check_allowed(job: JobRecord, action: Action) -> None:
     if allowed(job.state, action):
         return
     remedies = {
-        "cancel": "Nothing is left to stop.",
-        "next": "It has begun already, or has ended.",
-        "resume": "Only a failed, cancelled or timed out job can go on; retry starts afresh.",
+        "cancel": "It has already ended.",
+        "next": "It has already started or ended.",
+        "resume": "Only a failed, cancelled or timed out job can be resumed; retry starts from the "
+        "beginning.",
         "retry": "Cancel it first.",
         "delete": "Cancel it first.",
     }

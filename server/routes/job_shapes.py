@@ -27,11 +27,11 @@ PointFormat = Annotated[FrameFormat, Query(description="How to encode the positi
 Leg = Annotated[
     int | None,
     Query(
-        description="Of a morph through several shapes: the leg, from 0, whose shape is wanted. By "
-        "default the first source and the last target."
+        description="For a morph through several shapes, the leg whose shape is requested, counted "
+        "from 0. Default: the source of the first and the target of the last."
     ),
 ]
-MeshFormat = Annotated[Literal["glb", "ply"], Query(description="Of the file.")]
+MeshFormat = Annotated[Literal["glb", "ply"], Query(description="Format of the file.")]
 
 
 def _add_routes(role: Role, summary: str, description: str, points: str) -> None:
@@ -65,7 +65,7 @@ def _add_routes(role: Role, summary: str, description: str, points: str) -> None
         f"/{role}/mesh",
         operation_id=f"get{role.title()}Mesh",
         summary=f"The {role} as a mesh",
-        description=f"The {role} mesh in grid units, placed as the job has placed it.",
+        description=f"The {role} mesh in grid units, as placed by the job.",
         response_class=Response,
         responses=binary_responses("The mesh in grid units.", (GLB, array_encoding.PLY)),
     )
@@ -82,13 +82,13 @@ def _add_routes(role: Role, summary: str, description: str, points: str) -> None
 _add_routes(
     "source",
     "Where the particles start",
-    "Particles before the first frame, encoded as frames are and in their order.",
+    "Particles before the first frame, in the encoding and order of frames.",
     "Positions of all particles before the first frame.",
 )
 _add_routes(
     "target",
-    "What the particles aim at",
-    "Target points, encoded as frames are; their number is another than that of the particles.",
+    "Target points",
+    "Target points, encoded like frames; there may be more or fewer than particles.",
     "Positions of all target points.",
 )
 
@@ -119,7 +119,9 @@ def _mesh(
 
     mesh, _ = _find_leg(job, context, leg).fitted(role)
     if mesh is None:
-        raise ProblemError(404, f"The {role} is no mesh but points.", f"Ask for the {role} itself.")
+        raise ProblemError(
+            404, f"The {role} is a point cloud, not a mesh.", f"Request the {role} itself."
+        )
     file = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file, file_type=format)
     media_type = GLB if format == "glb" else array_encoding.PLY
@@ -137,6 +139,6 @@ def _find_leg(job: JobRecord, context: ServerContext, leg: int | None) -> RunRec
         return run
     if not 0 <= leg < run.leg_count:
         raise ProblemError(
-            404, f"The job has no leg {leg}.", f"Its {run.leg_count} legs count from 0."
+            404, f"The job has no leg {leg}.", f"Its {run.leg_count} legs are numbered from 0."
         )
     return run.leg(leg)

@@ -95,7 +95,7 @@ SUBMIT_BODY: dict[str, Any] = {
                         "job": {
                             "type": "string",
                             "contentMediaType": "application/json",
-                            "description": "A JobRequest; what is sent as a file is left out.",
+                            "description": "A JobRequest without the shapes sent as files.",
                         },
                         "source": {"type": "string", "format": "binary"},
                         "target": {"type": "string", "format": "binary"},
@@ -112,7 +112,8 @@ IdempotencyKey = Annotated[
         min_length=1,
         max_length=255,
         pattern=r"^[\x20-\x7e]+$",
-        description="Any text of your own; the same key again is the same job, not another one.",
+        description="Any text; a request with the same key returns the same job instead of making "
+        "another.",
     ),
 ]
 PlainText = Query(max_length=200, pattern=r"^[^\x00]*$")
@@ -124,7 +125,7 @@ PlainText = Query(max_length=200, pattern=r"^[^\x00]*$")
     operation_id="submitJob",
     summary="Submit a job",
     responses={
-        200: {"model": Job, "description": "This Idempotency-Key has made this job before."}
+        200: {"model": Job, "description": "The job already made with this Idempotency-Key."}
     },
     openapi_extra=SUBMIT_BODY,
 )
@@ -137,8 +138,8 @@ async def submit_job(
 ) -> Job:
     """Queue a morph between uploaded meshes or built-in shapes.
 
-    Send JSON; or a form with the JSON in a part `job` and mesh files in parts `source` and
-    `target`. Everything is checked first: what is accepted can run.
+    Send JSON, or a form with the JSON in a part `job` and mesh files in parts `source` and
+    `target`. Everything is checked first, so a job that is accepted can run.
     """
     async with AsyncExitStack() as stack:
         if media_type(request) == "multipart/form-data":
@@ -166,7 +167,7 @@ def list_jobs(
     `queue_position` is left out here; ask for a single job.
     """
     if owner is not None and not caller.can_see(owner):
-        raise ProblemError(403, "These are another key's jobs.", "Leave `owner` out.")
+        raise ProblemError(403, "These jobs belong to another key.", "Omit `owner`.")
     records = context.queue.newest(
         owner=caller.owner_filter if owner is None else owner,
         states=set(state) or None,
@@ -185,9 +186,9 @@ def list_jobs(
 
 @router.get("/{job_id}", operation_id="getJob", summary="Show a job", response_model=Job)
 def get_job(caller: JobReader, job: VisibleJob, context: Context) -> Response:
-    """Where a job stands, how far it has come, and what it left.
+    """The state of a job, its progress, and its outcome.
 
-    A share link does not tell its owner and its sweep.
+    With a share link, its owner and sweep are not shown.
     """
     if caller.shared is not None:
         shown = to_job(job, context).model_copy(update={"owner": "", "sweep": None})
@@ -197,11 +198,11 @@ def get_job(caller: JobReader, job: VisibleJob, context: Context) -> Response:
 
 @router.delete("/{job_id}", status_code=204, operation_id="deleteJob", summary="Delete a job")
 def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
-    """Forget a finished job and all its files."""
+    """Delete a finished job and all its files."""
     check_allowed(job, "delete")
     with suppress(StoreUnavailableError), context.deletions.noted(job.id):
         if not context.queue.delete_finished(job):
-            raise JobChangedError("The job is not finished any more.")
+            raise JobChangedError("The job is no longer finished.")
         context.share_links.remove_of_job(job.id)
         context.cancel_computations(job.id)
         context.storage.remove_job(job.id)
@@ -210,7 +211,7 @@ def delete_job(caller: Submitter, job: VisibleJob, context: Context) -> None:
 
 @router.post("/{job_id}/cancel", status_code=202, operation_id="cancelJob", summary="Cancel a job")
 def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
-    """Stop a job. The frames it has finished stay; they can be fetched, and it can be resumed."""
+    """Stop a job. Its finished frames are kept; they can be fetched, and it can be resumed."""
     if job.state is not JobState.CANCELLED:
         check_allowed(job, "cancel")
         context.queue.cancel(job.id)
@@ -219,7 +220,7 @@ def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
 
 @router.post("/{job_id}/next", operation_id="putJobFirst", summary="Put a job first")
 def put_job_first(caller: Submitter, job: VisibleJob, context: Context) -> Job:
-    """Start a queued job before all others of its owner; jobs of others keep their turns."""
+    """Move a queued job ahead of all others of its owner; jobs of others keep their places."""
     check_allowed(job, "next")
     context.queue.put_first(job.id)
     return to_job(find_job(job.id, caller, context), context)
@@ -227,7 +228,7 @@ def put_job_first(caller: Submitter, job: VisibleJob, context: Context) -> Job:
 
 @router.post("/{job_id}/resume", status_code=202, operation_id="resumeJob", summary="Resume a job")
 def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
-    """Let a failed, cancelled or timed out job go on from its last frame."""
+    """Continue a failed, cancelled or timed out job from its last frame."""
     check_allowed(job, "resume")
     with context.mesh_locks.holding(job.spec.meshes):
         check_meshes(job.spec, context)
@@ -243,7 +244,7 @@ def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     operation_id="forkJob",
     summary="Fork a job",
     responses={
-        200: {"model": Job, "description": "This Idempotency-Key has made this job before."}
+        200: {"model": Job, "description": "The job already made with this Idempotency-Key."}
     },
 )
 async def fork_job(
@@ -254,11 +255,11 @@ async def fork_job(
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> Job:
-    """Queue a job that has the first frames of this one, and goes on with other settings.
+    """Queue a job that takes the first frames of this one and continues with other settings.
 
-    It begins with the full state after the last of these frames. The last state of all is there
-    until the job has succeeded, others where it was submitted with `states_every`. With the same
-    settings its positions are those of this job to the last bit, on a CPU.
+    It starts from the full state after the last of these frames. The latest state is kept until
+    the job has succeeded, others if it was submitted with `states_every`. With the same settings,
+    its positions are bit for bit those of this job, on a CPU.
     """
     await anyio.to_thread.run_sync(fetch, job, context)
     record, new = await context.compute(fork, job, body, idempotency_key, caller, context)
@@ -268,12 +269,12 @@ async def fork_job(
 
 @router.post("/{job_id}/retry", status_code=202, operation_id="retryJob", summary="Retry a job")
 def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
-    """Compute a finished job again from the beginning; what it left is deleted."""
+    """Compute a finished job again from the beginning; its old output is deleted."""
     check_allowed(job, "retry")
     if job.spec.fork:
         raise ProblemError(
             409,
-            "A fork cannot begin anew: its first frames are another job's.",
+            "A fork cannot start from the beginning: its first frames belong to another job.",
             f"Fork job {job.spec.fork.job} again.",
         )
     with context.mesh_locks.holding(job.spec.meshes):
@@ -317,20 +318,22 @@ async def _receive_form(
     if form.keys() - files.keys() != {"job"}:
         raise ProblemError(
             422,
-            "The form needs the parts `job`, `source` and `target`, and no others.",
+            "The form may have only the parts `job`, `source` and `target`.",
             "Put the JSON in `job` and the files in `source` and `target`.",
         )
     body = load_json(await _text(form["job"], settings.body_bytes))
     if not isinstance(body, dict) or body.keys() & files.keys():
         raise ProblemError(
             422,
-            "The part `job` is no JSON object, or names a shape that comes as a file too.",
-            "Leave out of it what is sent as a file.",
+            "The part `job` is not a JSON object, or names a shape that is also sent as a file.",
+            "Omit shapes that are sent as files.",
         )
     uploads = {}
     for role, file in files.items():
         if not isinstance(file, UploadFile):
-            raise ProblemError(422, f"The part `{role}` is no file.", "Send it with a file name.")
+            raise ProblemError(
+                422, f"The part `{role}` is not a file.", "Send it as a file, with a file name."
+            )
         folder, name = context.storage.uploads, file.filename or ""
         uploads[role] = await stack.enter_async_context(
             save_upload(read_blocks(file), folder, name, settings.upload_bytes, incoming.add)

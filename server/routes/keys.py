@@ -16,7 +16,7 @@ router: APIRouter = APIRouter(prefix="/keys", tags=["keys"], route_class=Authent
 
 EXAMPLES: dict[str, Example] = {
     "admin": {
-        "summary": "A key for whoever runs the service",
+        "summary": "A key for an administrator",
         "value": {"name": "operator", "scopes": ["admin"]},
     }
 }
@@ -35,17 +35,17 @@ def make_key(
     response: Response,
     context: Context,
 ) -> NewKey:
-    """The secret is shown this once. From the first key on, every request needs one."""
+    """The secret is shown only once. Once a key exists, every request needs one."""
     if "admin" not in body.scopes and not context.api_keys.all():
         raise ProblemError(
             409,
-            "The first key must have the scope admin, or nobody could make another.",
+            "The first key must have the scope admin; otherwise nobody could make more.",
             'Add "admin" to its scopes.',
         )
     created = context.api_keys.add(body.name, body.scopes)
     if created is None:
         raise ProblemError(
-            409, f"There is a key {body.name!r} already.", "Revoke it, or choose another name."
+            409, f"A key {body.name!r} already exists.", "Delete it, or choose another name."
         )
     context.authenticator.invalidate()
     response.headers["Location"] = f"/v1/keys/{body.name}"
@@ -55,7 +55,7 @@ def make_key(
 
 @router.delete("/{name}", status_code=204, operation_id="revokeKey", summary="Revoke a key")
 def revoke_key(name: str, caller: Admin, context: Context) -> None:
-    """From now on the key is worth nothing; its jobs and meshes stay, its webhooks go."""
+    """The key stops working at once; its jobs and meshes are kept, its webhooks are deleted."""
     keys = {key.name: key for key in context.api_keys.all()}
     if name not in keys:
         raise not_found("key", name)

@@ -60,7 +60,7 @@ UPLOAD_BODY: dict[str, Any] = {
     status_code=201,
     operation_id="uploadMesh",
     summary="Upload a mesh",
-    responses={200: {"model": Mesh, "description": "You have this mesh already."}},
+    responses={200: {"model": Mesh, "description": "You already have this mesh."}},
     openapi_extra=UPLOAD_BODY,
 )
 async def upload_mesh(
@@ -70,14 +70,17 @@ async def upload_mesh(
     context: Context,
     name: Annotated[
         str,
-        Query(max_length=200, description="File name of a raw body; its suffix tells the format."),
+        Query(
+            max_length=200,
+            description="File name of a raw body; its extension determines the format.",
+        ),
     ] = "",
 ) -> Mesh:
     """Send the file as the raw body with its name in the query, or as a form with a part `file`.
 
-    OBJ, PLY, STL, OFF, GLB and self-contained glTF are read, and a ZIP archive of one with the
-    files that it names, such as the materials and pictures of an OBJ. A mesh that cannot be filled
-    with particles is refused, with the reason. The same file sent again is the same mesh.
+    Accepted are OBJ, PLY, STL, OFF, GLB and self-contained glTF, or a ZIP archive of one with the
+    files that it refers to, such as the materials and textures of an OBJ. A mesh that cannot be
+    filled with particles is refused, with the reason. The same file sent again is the same mesh.
     """
     name = plain_name(name)
     async with AsyncExitStack() as stack:
@@ -88,7 +91,9 @@ async def upload_mesh(
             )
             file = form.get("file")
             if not isinstance(file, UploadFile):
-                raise ProblemError(422, "The form has no file `file`.", "Send the mesh in it.")
+                raise ProblemError(
+                    422, "The form has no file in the part `file`.", "Send the mesh in that part."
+                )
             chunks, name = read_blocks(file), name or file.filename or ""
         else:
             mesh_suffix(name)
@@ -120,7 +125,7 @@ def list_meshes(
 
 @router.get("/{mesh_id}", operation_id="getMesh", summary="Describe a mesh")
 def get_mesh(mesh_id: str, caller: Reader, context: Context) -> Mesh:
-    """What the engine sees in a mesh: closed?, volume, particles, expected time and memory."""
+    """Properties of a mesh: whether it is closed, volume, particles, expected time and memory."""
     return to_mesh(find_mesh(mesh_id, caller, context)[0], context)
 
 
@@ -129,10 +134,10 @@ def get_mesh(mesh_id: str, caller: Reader, context: Context) -> Mesh:
     operation_id="getMeshFile",
     summary="Download a mesh",
     response_class=FileResponse,
-    responses={304: {"description": "You have it already."}},
+    responses={304: {"description": "Not modified."}},
 )
 def get_mesh_file(mesh_id: str, request: Request, caller: Reader, context: Context) -> Response:
-    """The file as it was uploaded; understands Range and If-None-Match."""
+    """The file as it was uploaded; supports Range and If-None-Match."""
     row, path = find_mesh(mesh_id, caller, context)
     return file_response(
         request,
@@ -148,7 +153,7 @@ def get_mesh_file(mesh_id: str, request: Request, caller: Reader, context: Conte
     "/{mesh_id}", status_code=204, operation_id="deleteMesh", summary="Delete an unused mesh"
 )
 def delete_mesh(mesh_id: str, caller: Submitter, context: Context) -> None:
-    """Forget your upload of a mesh; with an admin key and none of your own, everybody's.
+    """Delete your upload of a mesh; with an admin key that has no upload of it, everybody's.
 
     Refused while a job that is not finished uses it.
     """
@@ -221,7 +226,9 @@ def mesh_suffix(name: str) -> str:
         return suffix
     if not name:
         raise ProblemError(
-            415, "The mesh has no name to tell its format.", "Add one, as in ?name=bunny.obj."
+            415,
+            "The format of the mesh is unknown without a file name.",
+            "Add one, as in ?name=bunny.obj.",
         )
     verb = "Unpack it, and send" if suffix in ARCHIVES else "Export it as"
     raise ProblemError(
@@ -283,7 +290,7 @@ def _is_stored(sha256: str, context: ServerContext) -> bool:
 
 
 def _deleted_meanwhile() -> ProblemError:
-    return ProblemError(409, "The mesh has been deleted meanwhile.", "Upload it again.")
+    return ProblemError(409, "The mesh has been deleted in the meantime.", "Upload it again.")
 
 
 def _delete(mesh_id: str, caller: Caller, context: ServerContext) -> None:
@@ -299,7 +306,9 @@ def _delete(mesh_id: str, caller: Caller, context: ServerContext) -> None:
         )
     if users and context.meshes.is_sole_owner(caller.name, mesh_id):
         raise ProblemError(
-            409, "An unfinished job of another key uses this mesh.", "Try again once it is done."
+            409,
+            "An unfinished job of another key uses this mesh.",
+            "Try again when the job has finished.",
         )
     if context.meshes.remove(caller.name if own else caller.owner_filter, mesh_id):
         context.storage.remove_mesh(mesh_id)

@@ -35,9 +35,15 @@ RESPONSES = array_encoding.array_responses(
     "Positions of all particles.",
     {
         "Morph-Count": ("integer", "Number of particles."),
-        "Morph-Warnings": ("string", "What to know of the shape: a JSON list of sentences."),
-        "Morph-Placement": ("string", "What `auto` does to both shapes, a sentence; or nothing."),
-        "Morph-Turning": ("string", "Which shapes are turned to stand upright; or nothing."),
+        "Morph-Warnings": ("string", "Warnings about the shape: a JSON list of sentences."),
+        "Morph-Placement": (
+            "string",
+            "What `auto` does to both shapes, as a sentence; empty if nothing.",
+        ),
+        "Morph-Turning": (
+            "string",
+            "Which shapes are turned upright, as a sentence; empty if none.",
+        ),
         "Morph-Up": ("string", "The axis of the grid that points upwards: y or z."),
         "Morph-To-User": (
             "string",
@@ -53,12 +59,16 @@ class Sampling(BaseModel):
     points_per_cell_edge: int = Field(
         3, ge=1, le=8, description="Lattice points per grid unit and axis."
     )
-    fit: Fit = Field("auto", description="How to place it, as the setting `sampling.fit`.")
+    fit: Fit = Field("auto", description="How to place it, like the setting `sampling.fit`.")
     source: Address | None = Field(
-        None, description="What is to become it, which `auto` looks at: a shape or a mesh's id."
+        None,
+        description="The source, if the shape is a target: a shape or the id of a mesh. `auto` "
+        "takes both into account.",
     )
     target: Address | None = Field(
-        None, description="What it is to become, likewise; one of both at most."
+        None,
+        description="The target, if the shape is a source. Give at most one of `source` and "
+        "`target`.",
     )
     placement: Json[PlacementConfig] = Field(
         PlacementConfig(),
@@ -83,7 +93,7 @@ async def get_mesh_particles(
     context: Context,
     sampling: Annotated[Sampling, Query()],
 ) -> Response:
-    """The particles that a job would fill the mesh with, encoded as frames are."""
+    """The particles that a job would fill the mesh with, encoded like frames."""
     row, path = await anyio.to_thread.run_sync(meshes.find_mesh, mesh_id, caller, context)
     report = await anyio.to_thread.run_sync(context.storage.mesh_report, mesh_id) or {}
     warnings = report.get("warnings", [])
@@ -105,7 +115,7 @@ async def get_shape_particles(
     context: Context,
     sampling: Annotated[Sampling, Query()],
 ) -> Response:
-    """The particles that a job would fill the shape with; `text:WORD` is one, too."""
+    """The particles that a job would fill the shape with; `text:WORD` is a shape, too."""
     return await _particles(shape, shape, [], sampling, request, caller, context)
 
 
@@ -145,7 +155,7 @@ def _other(sampling: Sampling, caller: Caller, context: ServerContext) -> OtherE
         ProblemError: 422, it cannot be found, or both ends are named.
     """
     if sampling.source and sampling.target:
-        raise ProblemError(422, "Both source and target are given.", "Leave one of them out.")
+        raise ProblemError(422, "Both source and target are given.", "Omit one of them.")
     role: Role = "source" if sampling.source else "target"
     address = sampling.source or sampling.target
     if address is None:

@@ -17,29 +17,37 @@ router: APIRouter = APIRouter(
     prefix="/jobs/{job_id}", tags=["results"], route_class=AuthenticatedRoute
 )
 
-Rate = Annotated[float, Query(ge=1, le=120, description="Pictures per second.")]
+Rate = Annotated[float, Query(ge=1, le=120, description="Frames per second.")]
 
 
-@router.get("/playback", operation_id="getPlayback", summary="Which frame is shown when")
+@router.get("/playback", operation_id="getPlayback", summary="Frame to show at each time")
 async def get_playback(
     job: VisibleJob,
     request: Request,
     context: Context,
     seconds: Annotated[
         float | None,
-        Query(gt=0, le=3600, description="Duration; frames over `fps`, and the rests, if absent."),
+        Query(
+            gt=0,
+            le=3600,
+            description="Duration [s]; default: frames divided by `fps`, plus the pauses.",
+        ),
     ] = None,
     fps: Rate = FRAMES_PER_SECOND,
-    hold: Annotated[float, Query(ge=0, le=600, description="Rest at each shape [s].")] = 0.0,
+    hold: Annotated[float, Query(ge=0, le=600, description="Pause at each shape [s].")] = 0.0,
     easing: Annotated[Easing, Query(description="Pace between two shapes.")] = "in-out",
     repeat: Annotated[
-        Repeat, Query(description="Once; ending as it begins; or there and back.")
+        Repeat,
+        Query(
+            description="`none`: play once; `loop`: end as it begins; `ping-pong`: play forward, "
+            "then backward."
+        ),
     ] = "none",
 ) -> Playback:
-    """The frame of each picture, or the place between two, as a player needs it that has them.
+    """The frame to show at each instant, or the position between two frames.
 
-    Time goes with the mean distance that particles move. Exports have the same `seconds`, `hold`,
-    `easing` and `repeat`.
+    Time is proportional to the mean distance that particles move. Exports have the same
+    `seconds`, `hold`, `easing` and `repeat`.
     """
     timing = Timing(seconds, fps, hold, easing, repeat)
     path = await find_result(job, request, context)

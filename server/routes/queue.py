@@ -19,20 +19,20 @@ Owner = Annotated[
     Query(
         max_length=64,
         pattern=r"^[^\x00]*$",
-        description="Name of another key, whose queue an admin key may see and pause.",
+        description="Name of another key whose queue to see or pause; needs an admin key.",
     ),
 ]
 
 
 @router.get("", operation_id="getQueue", summary="Show your queue")
 def get_queue(caller: Reader, context: Context, owner: Owner = None) -> QueueStatus:
-    """How many of your jobs wait and run, and whether you have paused them."""
+    """How many of your jobs are queued and running, and whether you have paused them."""
     return _show(_owner(owner, caller), context)
 
 
 @router.post("/pause", operation_id="pauseQueue", summary="Pause your queue")
 def pause_queue(caller: Submitter, context: Context, owner: Owner = None) -> QueueStatus:
-    """Start no more of your jobs. Those that run go on, and new ones may be submitted."""
+    """Start no more of your jobs. Running jobs continue, and new ones can be submitted."""
     name = _owner(owner, caller)
     context.queue.pause(name)
     return _show(name, context)
@@ -40,7 +40,7 @@ def pause_queue(caller: Submitter, context: Context, owner: Owner = None) -> Que
 
 @router.post("/unpause", operation_id="unpauseQueue", summary="Unpause your queue")
 def unpause_queue(caller: Submitter, context: Context, owner: Owner = None) -> QueueStatus:
-    """Start your jobs again. They take their turns as if they were submitted now."""
+    """Start your jobs again. They queue as if they were submitted now."""
     name = _owner(owner, caller)
     if context.queue.is_paused(name):
         context.queue.unpause(name)
@@ -55,7 +55,7 @@ def _owner(owner: str | None, caller: Caller) -> str:
     """
     if owner is None or caller.can_see(owner):
         return caller.name if owner is None else owner
-    raise ProblemError(403, "This is another key's queue.", "Leave `owner` out.")
+    raise ProblemError(403, "This queue belongs to another key.", "Omit `owner`.")
 
 
 def _show(owner: str, context: ServerContext) -> QueueStatus:

@@ -44,8 +44,8 @@ TABLES_KEPT = 64
 async def get_result(job: VisibleJob, request: Request, context: Context) -> Response:
     """The VTKHDF file, for ParaView, VTK and h5py; its ETag is its SHA-256.
 
-    Understands Range, If-Range and If-None-Match. A job that was cancelled, failed or timed out
-    leaves the frames it had finished.
+    Supports Range, If-Range and If-None-Match. For a cancelled, failed or timed out job it holds
+    the frames that were finished.
     """
     filename = f"{file_stem(job)}.vtkhdf"
     if job.outcome is not None:
@@ -101,7 +101,7 @@ def get_frame(
 def get_metrics(
     job: VisibleJob,
     context: Context,
-    format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
+    format: Annotated[Literal["json", "csv"], Query(description="Format of the table.")] = "json",
 ) -> Any:
     """One row for each finished frame, also while the job runs; docs/metrics.md has the units."""
     log = context.storage.events(job.id)
@@ -118,7 +118,7 @@ def get_config(job: VisibleJob) -> dict[str, Any]:
 @router.get(
     "/log",
     operation_id="getLog",
-    summary="What the engine wrote",
+    summary="The log of the engine",
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )

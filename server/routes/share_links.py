@@ -27,10 +27,10 @@ def list_share_links(caller: Reader, job: VisibleJob, context: Context) -> list[
 def make_share_link(
     caller: Submitter, job: VisibleJob, response: Response, context: Context
 ) -> NewShareLink:
-    """Make a link that shows this job to whoever has it. The secret is shown this once.
+    """Make a link that shows this job to anyone who has it. The secret is shown only once.
 
-    It reads the job, its frames and files, and neither its log nor anything else. It changes
-    nothing, and works until it is revoked, the job is deleted, or the key that made it is revoked.
+    It gives read access to the job, its frames and files, but not to its log or anything else. It
+    works until it is revoked, the job is deleted, or the key that made it is revoked.
     """
     shared = SharedJob.of(job)
     with context.quotas.letting_in_share_link(
@@ -50,6 +50,6 @@ def make_share_link(
     "/{link_id}", status_code=204, operation_id="revokeShareLink", summary="Revoke a share link"
 )
 def revoke_share_link(caller: Submitter, job: VisibleJob, link_id: str, context: Context) -> None:
-    """From now on the link shows nothing."""
+    """The link stops working at once."""
     if not is_id(link_id) or not context.share_links.remove(SharedJob.of(job), link_id):
         raise not_found("share link", link_id)

@@ -31,9 +31,9 @@ MEDIA_TYPES: dict[SurfaceFormat, str] = {
 
 HEADERS: dict[str, tuple[str, str]] = {
     "Morph-Frame": ("integer", "Index of the frame."),
-    "Morph-Watertight": ("boolean", "Whether every edge joins two faces that agree."),
-    "Morph-Bodies": ("integer", "Parts that share no vertex; an inner cavity is one."),
-    "Morph-Largest": ("number", "Share of the largest part in the area."),
+    "Morph-Watertight": ("boolean", "Whether every edge joins two faces of the same orientation."),
+    "Morph-Bodies": ("integer", "Parts that share no vertex; an inner cavity counts as one."),
+    "Morph-Largest": ("number", "Share of the area that belongs to the largest part."),
     "Morph-Deviation-Mean": ("number", "Mean distance to the target mesh [grid units]."),
     "Morph-Deviation-Max": ("number", "Largest distance to the target mesh [grid units]."),
 }
@@ -51,16 +51,16 @@ async def get_surface(
     frame: FinishedFrame,
     request: Request,
     context: Context,
-    format: Annotated[SurfaceFormat, Query(description="Of the file.")] = "glb",
+    format: Annotated[SurfaceFormat, Query(description="Format of the file.")] = "glb",
     units: Annotated[
-        Units, Query(description="See exports; only here the default is `grid`.")
+        Units, Query(description="As for exports, but the default is `grid`.")
     ] = "grid",
 ) -> Response:
     """A closed and smooth mesh around the particles of a finished frame, also while the job runs.
 
-    It is computed when it is first asked for, which takes seconds, and kept with the job. The
-    headers tell whether it is closed and how far it lies from the target mesh. Once the job has
-    ended, GLB, PLY and OBJ have the colours of the shapes, if these have any.
+    It is computed on the first request, which takes seconds, and kept with the job. The headers
+    tell whether it is closed and how far it is from the target mesh. Once the job has ended, GLB,
+    PLY and OBJ have the colours of the shapes, if any.
     """
     path = context.storage.surface_path(job.id, frame.index)
     result = context.storage.result_path(job.id)

@@ -55,7 +55,7 @@ EXAMPLES: dict[str, Example] = {
     operation_id="submitSweep",
     summary="Submit a sweep",
     responses={
-        200: {"model": Sweep, "description": "This Idempotency-Key has made this sweep before."}
+        200: {"model": Sweep, "description": "The sweep already made with this Idempotency-Key."}
     },
 )
 def submit_sweep(
@@ -65,11 +65,13 @@ def submit_sweep(
     context: Context,
     idempotency_key: IdempotencyKey = None,
 ) -> Sweep:
-    """Queue sources x targets x methods x seeds, at most 1000 jobs, all of them or none.
+    """Queue every combination of sources, targets, methods and seeds, at most 1000 jobs.
 
-    An override goes to the methods that have the setting; one of them has to.
+    Either all of them are queued or none. An override applies to the methods that have the
+    setting; at least one of them must.
 
-    If the service dies in the midst, the same request with the same Idempotency-Key adds the rest.
+    If the service dies in the middle, the same request with the same Idempotency-Key adds the
+    rest.
     """
     sweep, new = _submit(body, idempotency_key, caller, context)
     accept(response, f"/v1/sweeps/{sweep.id}", new=new)
@@ -87,7 +89,7 @@ def get_sweep(
     sweep_id: str,
     caller: Reader,
     context: Context,
-    format: Annotated[Literal["json", "csv"], Query(description="Of the table.")] = "json",
+    format: Annotated[Literal["json", "csv"], Query(description="Format of the table.")] = "json",
 ) -> Any:
     """The jobs of a sweep in one table, with the metrics of the last finished frame of each."""
     stored = context.sweeps.get(sweep_id) if is_id(sweep_id) else None
@@ -105,7 +107,9 @@ def _submit(
     axes = request.sources, request.targets, request.methods, request.seeds
     count = math.prod(len(axis) for axis in axes)
     if count > JOBS:  # known before a single combination is made
-        raise ProblemError(422, f"This makes {count} jobs, more than {JOBS}.", "Split the sweep.")
+        raise ProblemError(
+            422, f"This sweep has {count} jobs, more than {JOBS}.", "Split it into several sweeps."
+        )
     digest = request_digest(request)
     sweep_id = idempotent_id("sweep", caller, key) if key else new_id()
     known = context.sweeps.get(sweep_id)

@@ -29,7 +29,7 @@ WEBP = "image/webp"
 @router.get(
     "/thumbnail",
     operation_id="getThumbnail",
-    summary="A small picture",
+    summary="A thumbnail",
     response_class=Response,
     responses=binary_responses("240 x 180 pixels of the newest frame.", [WEBP]),
 )

@@ -48,8 +48,8 @@ def _document(address: str) -> Callable[[Request], Awaitable[Response]]:
         if answer is None:
             raise ProblemError(
                 404,
-                "There is no web page here, because it has not been built.",
-                "Run `make page` where Node.js is installed; the API works without it, see /docs.",
+                "The web page has not been built.",
+                "Run `make page`, which needs Node.js; the API works without the page, see /docs.",
             )
         if preloads := _preloads(BUILT, VIEWS[address]):
             answer.headers["Link"] = ", ".join(preloads)
@@ -80,7 +80,9 @@ async def get_asset(name: str, request: Request) -> Response:
     answer = _file(request, f"assets/{name}", FOR_EVER) if known else None
     if answer is None:
         raise ProblemError(
-            404, f"The page has no file {name[:80]!r}.", "Reload the page; it may be a new version."
+            404,
+            f"The page has no file {name[:80]!r}.",
+            "Reload the page; it may have been updated.",
         )
     return answer
 

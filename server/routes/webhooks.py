@@ -22,7 +22,7 @@ router: APIRouter = APIRouter(prefix="/webhooks", tags=["webhooks"], route_class
 
 EXAMPLES: dict[str, Example] = {
     "ended": {
-        "summary": "Tell when a job ends",
+        "summary": "Notify when a job ends",
         "value": {"url": "https://example.com/morph"},
     }
 }
@@ -56,9 +56,9 @@ def make_webhook(
     response: Response,
     context: Context,
 ) -> NewWebhook:
-    """Be told when jobs of this key enter some states. The secret is shown this once.
+    """Be notified when jobs of this key enter certain states. The secret is shown only once.
 
-    The address has to be public, unless whoever runs the service allows its network.
+    The address has to be public, unless an administrator of the service has allowed its network.
     """
     url = parse_url(body.url)
     secret = new_secret() if body.secret is None else body.secret
@@ -87,7 +87,7 @@ def get_webhook(webhook: VisibleWebhook) -> Webhook:
     "/{webhook_id}", status_code=204, operation_id="deleteWebhook", summary="Delete a webhook"
 )
 def delete_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context) -> None:
-    """Tell it nothing any more; what it was told is forgotten."""
+    """Stop sending messages to it, and delete the log of those sent."""
     context.webhooks.remove(webhook.id)
 
 
@@ -95,7 +95,7 @@ def delete_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context)
     "/{webhook_id}/test", status_code=202, operation_id="testWebhook", summary="Test a webhook"
 )
 def try_webhook(caller: Submitter, webhook: VisibleWebhook, context: Context) -> Delivery:
-    """Send a message of the type `test`; its deliveries tell what became of it."""
+    """Send a message of the type `test`; the deliveries tell whether it arrived."""
     with context.quotas.letting_in_test(
         webhook.id, lambda: context.webhooks.pending_tests(webhook.id)
     ):

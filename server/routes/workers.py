@@ -20,12 +20,15 @@ router: APIRouter = APIRouter(prefix="/workers", tags=["workers"], route_class=A
 def list_workers(
     caller: Admin,
     context: Context,
-    limit: Annotated[int, Query(ge=1, le=1000, description="Slots of a page.")] = 1000,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Slots per page.")] = 1000,
     after: Annotated[
-        str, Query(max_length=255, description="Only slots behind this one; the last of a page.")
+        str,
+        Query(
+            max_length=255, description="Only slots after this one, the last of the previous page."
+        ),
     ] = "",
 ) -> list[WorkerStatus]:
-    """The slots that work for this service, and those that have not ended in order, by name.
+    """The slots that work for this service, and those that ended abnormally, by name.
 
     Such a slot is forgotten after a day, unless it is paused.
     """
@@ -34,7 +37,7 @@ def list_workers(
 
 @router.post("/{worker_id}/pause", operation_id="pauseWorker", summary="Pause a worker slot")
 def pause_worker(worker_id: str, caller: Admin, context: Context) -> WorkerStatus:
-    """Let a slot finish its job and take no other."""
+    """Let a slot finish its job and take no more."""
     return _pause(worker_id, True, context)
 
 

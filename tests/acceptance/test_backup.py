@@ -75,8 +75,8 @@ def test_backup_is_brought_up_to_date(new_cluster, tmp_path):
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("none", "There is a service already."),
-        ("no record", "has no complete backup."),
+        ("none", "A service already exists here."),
+        ("no record", "does not contain a complete backup."),
         ("file lost", "missing or have changed"),
         ("bit of the dump turned", "missing or have changed"),
         ("other kind", "This is a backup of postgres."),
@@ -110,5 +110,5 @@ def test_backup_refuses_a_folder_with_other_files(new_cluster, tmp_path):
     (tmp_path / "diary.txt").write_text("mine")
     refused = morph(new_cluster("").environment, "backup", tmp_path)
     assert refused.returncode == 2
-    assert "has files of another kind" in refused.stderr
+    assert "contains files that do not belong to a backup" in refused.stderr
     assert (tmp_path / "diary.txt").read_text() == "mine"

@@ -79,7 +79,7 @@ def test_shapes_that_stand_on_different_axes_are_turned(tmp_path):
     save(tmp_path / "heart.glb", "heart", 0.001, [-40.0, 30.0, 0.0], np.eye(3))
     outcome = morph("run", "teapot.stl", "heart.glb", *QUICK, "--out", "r.vtkhdf", cwd=tmp_path)
     assert outcome.returncode == 0, outcome.stderr
-    assert "The target is given a quarter turn about x" in " ".join(outcome.stderr.split())
+    assert "The target is rotated by 90 degrees about x" in " ".join(outcome.stderr.split())
     with Trajectory(tmp_path / "r.vtkhdf") as result:
         run = result.run
         assert run.placement.up == "z"

@@ -104,7 +104,7 @@ def test_a_trial_leaves_tables_figures_and_a_report_and_is_not_computed_twice(un
     written = [result_path(unbroken, run_id).stat().st_mtime_ns for run_id in RUNS]
     outcome = reproduce("trial", "--json", results=unbroken)
     assert outcome.returncode == 0, outcome.stderr
-    assert "0 runs to compute, 2 are there already" in outcome.stderr
+    assert "0 runs to compute, 2 already computed" in outcome.stderr
     numbers = json.loads(outcome.stdout)["tables"]["trial"]["numbers"]
     assert {row["run_ids"] for row in numbers} == set(RUNS)
     assert written == [result_path(unbroken, run_id).stat().st_mtime_ns for run_id in RUNS]
@@ -121,12 +121,12 @@ def test_a_run_that_nobody_knows_the_code_of_is_computed_again(unbroken, tmp_pat
     written = result_path(results, RUNS[0]).stat().st_mtime_ns
     if not is_torn:
         outcome = reproduce("trial", "--any-code", results=results)
-        assert "0 runs to compute, 2 are there already" in outcome.stderr
+        assert "0 runs to compute, 2 already computed" in outcome.stderr
         assert "000000000000" in (results / "report.md").read_text(encoding="utf-8")
         assert result_path(results, RUNS[0]).stat().st_mtime_ns == written
     outcome = reproduce("trial", results=results)
     assert outcome.returncode == 0, outcome.stderr
-    assert "1 runs to compute, 1 are there already" in outcome.stderr
+    assert "1 runs to compute, 1 already computed" in outcome.stderr
     assert ("--any-code" in outcome.stderr) is not is_torn
     assert result_path(results, RUNS[0]).stat().st_mtime_ns != written
     assert provenance_of(results, RUNS[0])["code"] == code_digest("dco")
@@ -150,7 +150,7 @@ def test_ctrl_c_and_kill_cost_nothing_but_the_frame_in_progress(unbroken, tmp_pa
         process.send_signal(send)
         _, said = process.communicate(timeout=120)
         if send == signal.SIGINT:
-            assert process.returncode == 130 and "same command" in said
+            assert process.returncode == 130 and "Repeat the command" in said
         assert psutil.wait_procs(engines, timeout=PATIENCE)[1] == []
         assert spool_path(path).is_dir() and not path.exists()
         assert provenance_of(tmp_path, RUNS[1])["cpu_seconds"] > spent

@@ -165,7 +165,7 @@ def test_ctrl_c_before_the_first_frame_has_no_traceback(tmp_path):
             ["chamfer.weight", "greater than or equal to 0"],
         ),
         (["--set", "chamfer.weight"], ["--set"]),
-        (["--set", "time.dt=0.1"], ["time.dt", "stable limit"]),
+        (["--set", "time.dt=0.1"], ["time.dt", "stability limit"]),
         (["--frames", "0"], ["frames"]),
         (["--out", "nowhere/result.vtkhdf"], ["nowhere", "--out"]),
     ],

@@ -75,7 +75,7 @@ def test_two_janitors_adopt_once(cluster, undisturbed):
     cluster.worker(1)
     cluster.require_sound(job, undisturbed)
     log = (cluster.settings.data_dir / "processes.log").read_text()
-    assert log.count("is gone; its jobs go back into the queue") == 1
+    assert log.count("is gone; its jobs are put back into the queue") == 1
 
 
 def test_a_janitor_that_comes_too_late_adopts_nothing(cluster, monkeypatch):

@@ -205,7 +205,7 @@ def test_it_is_given_up(new_cluster, database_url, receiver: Receiver) -> None:
 
     cluster.wait_until(lambda: delivery().state == "failed", "the end of all attempts")
     assert len(delivery().attempts) == 2 and not receiver.received
-    assert "127.0.0.1, which is no public address" in delivery().attempts[1].problem
+    assert "127.0.0.1, which is not a public address" in delivery().attempts[1].problem
 
 
 def test_kills_between_a_change_and_its_message(new_cluster, database_url, receiver) -> None:
@@ -270,5 +270,5 @@ def test_the_command(service, receiver: Receiver) -> None:
     assert morph("delete", webhook).returncode == 0
     assert morph("log", webhook).returncode == 2
     refused = morph("create", "http://10.0.0.1/")
-    assert refused.returncode == 2 and "no public address" in refused.stderr
+    assert refused.returncode == 2 and "not a public address" in refused.stderr
     assert morph("create", receiver.url, "--state", "done").returncode == 2

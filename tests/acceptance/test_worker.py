@@ -196,7 +196,9 @@ def test_the_last_words_of_an_engine_name_no_folder(new_cluster, log_format):
     engine.resume()
     problem = cluster.wait_for_state(job, JobState.FAILED).problem
     assert problem.kind == "crash"
-    assert problem.cause.endswith("Its last words: " + " ".join(4 * ["inner/file.so"]) + ": broken")
+    assert problem.cause.endswith(
+        "Its last output: " + " ".join(4 * ["inner/file.so"]) + ": broken"
+    )
 
 
 @POSTGRES_BY_FAULT_TESTS

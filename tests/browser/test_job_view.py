@@ -234,10 +234,10 @@ def test_a_job_that_fails_says_so_and_keeps_its_frames(failed, new_page, size):
     page = new_page(viewport={"width": width, "height": height})
     page.goto(f"/jobs/{failed}?shape=points&quality=plain")
     headline = page.locator(".headline")
-    found = re.compile(r"cannot go on after (\d+) frames?: a particle is faster")
+    found = re.compile(r"cannot continue after (\d+) frames?: a particle moves faster")
     expect(headline).to_contain_text(found)
     expect(headline).to_contain_text(
-        "What is finished is kept; try more “Frames”, or “Transitions per frame” under “Time”"
+        "Finished frames are kept; try more “Frames”, or “Transitions per frame” under “Time”"
     )
     finished = int(found.search(headline.text_content())[1])
     expect(headline).to_contain_text(f"{finished} of {HURRIED} frames")
@@ -259,7 +259,7 @@ def test_the_timeline_scrubs_steps_and_plays(opened):
     opened.get_by_role("slider", name="Frame").fill("0")
     expect_frame(opened, 1)
     changed(opened, last)
-    opened.get_by_role("button", name="One frame on").click()
+    opened.get_by_role("button", name="Next frame").click()
     expect_frame(opened, 2)
     opened.get_by_role("button", name="Play", exact=True).click()
     expect_frame(opened, FRAMES)
@@ -273,7 +273,7 @@ def test_a_job_is_played_in_a_time_of_its_own(opened):
     with opened.expect_response(re.compile("/playback")) as answer:
         opened.get_by_label("Pace", exact=True).select_option("in-out")
     assert len(answer.value.json()["frames"]) == 5 * 30
-    lasts = opened.get_by_label("Lasts")
+    lasts = opened.get_by_label("Duration")
     with opened.expect_response(re.compile("seconds=2.5&")) as answer:
         lasts.fill("2.5")
         lasts.blur()
@@ -282,11 +282,11 @@ def test_a_job_is_played_in_a_time_of_its_own(opened):
     assert len(answer.value.json()["frames"]) == 60
     lasts.fill("0")
     lasts.blur()
-    expect(opened.get_by_text("Give a number of seconds from 0.1 to 3600.")).to_be_visible()
+    expect(opened.get_by_text("Enter a number of seconds from 0.1 to 3600.")).to_be_visible()
     lasts.fill("5")
     lasts.blur()
     with opened.expect_response(re.compile("repeat=ping-pong")):
-        opened.get_by_label("Played", exact=True).select_option("ping-pong")
+        opened.get_by_label("Repeat", exact=True).select_option("ping-pong")
     expect(speed).to_be_hidden()
     expect(opened.get_by_label("Loop")).to_be_checked()
     opened.get_by_label("Loop").uncheck()
@@ -312,7 +312,7 @@ def test_a_cut_hides_half_of_it(opened):
 
 @pytest.mark.parametrize(
     ("colour", "legend"),
-    [("displacement", "Displacement dx"), ("density", "Density, of the target's ratio")],
+    [("displacement", "Displacement dx"), ("density", "Density relative to target ratio")],
 )
 def test_colours_come_with_a_scale(opened, colour, legend):
     """Values of the page's own and of the service colour the particles, with name and unit."""
@@ -467,7 +467,7 @@ def test_what_is_nearer_or_farther_is_blurred_if_one_wants_it(opened):
 
     assert edges(shallow) < 0.8 * edges(sharp)
     assert ImageStat.Stat(shallow).mean == pytest.approx(ImageStat.Stat(sharp).mean, abs=1.5)
-    opened.get_by_label("Focus").select_option("All sharp")
+    opened.get_by_label("Focus").select_option("Sharp")
     until(lambda: edges(picture(opened)) > 0.95 * edges(sharp), "What was blurred stays so.")
 
 
@@ -475,9 +475,9 @@ def test_the_page_says_how_finely_it_draws(page, done):
     """By what pictures take, unless somebody chooses."""
     page.goto(f"/jobs/{done}?shape=points")
     reading = page.locator(".drawn-reading")
-    expect(reading).to_have_text(re.compile(r"^Drawn: (full|plain|sketch)"))
+    expect(reading).to_have_text(re.compile(r"^Drawing: (full|plain|sketch)"))
     page.get_by_label("Drawing").select_option("sketch")
-    expect(reading).to_have_text("Drawn: sketch")
+    expect(reading).to_have_text("Drawing: sketch")
     page.wait_for_url(re.compile("quality=sketch"))
 
 
@@ -490,7 +490,7 @@ def test_what_moves_is_seen_between_frames(opened, shape):
     opened.get_by_label("Loop").check()
     opened.get_by_role("button", name="Play", exact=True).click()
     if shape == "surface":  # in motion once all are there
-        expect(opened.locator(".scene-note")).to_contain_text("Particles, until")
+        expect(opened.locator(".scene-note")).to_contain_text("Particles until")
         expect(opened.locator(".surface-words")).to_contain_text("dx from the target")
     pictures = opened.evaluate(
         """async () => {
@@ -625,7 +625,7 @@ def test_no_words_are_cut(done, new_page, size):
     page = with_display(new_page, done, size)
     expect(page.get_by_label("Pace")).to_be_visible()
     assert page.evaluate(CUT) == []
-    for pace in ("Even", "Slow at each shape", "Past it and back"):
+    for pace in ("Even", "Slow at each shape", "Overshoot"):
         page.get_by_label("Pace").select_option(pace)
         assert page.evaluate(CUT) == []
     for sheet in ("Overview", "Curves", "Settings", "Files"):
@@ -642,7 +642,7 @@ def test_all_of_the_display_is_in_sight(done, new_page, size):
     page.get_by_label("Cut", exact=True).select_option("x")
     page.get_by_label("Pace", exact=True).select_option("linear")
     expect(page.get_by_label("Position of the cut")).to_be_visible()
-    expect(page.get_by_label("Played", exact=True)).to_be_visible()
+    expect(page.get_by_label("Repeat", exact=True)).to_be_visible()
     display = page.locator(".display")
     assert display.evaluate("one => one.scrollHeight - one.clientHeight") <= 0
     under = display.bounding_box()
@@ -678,10 +678,10 @@ def test_pictures_and_films_are_saved(opened, tmp_path):
     with Image.open(shot) as image:
         assert image.format == "PNG"
         assert min(image.size) > 200
-    film = saved(opened, "Film of the frames, WebM", tmp_path)
+    film = saved(opened, "Video of the frames, WebM", tmp_path)
     assert film.suffix == ".webm"
     assert film.read_bytes().startswith(b"\x1aE\xdf\xa3")
-    expect(opened.get_by_role("button", name="Film of the frames, WebM")).to_be_enabled()
+    expect(opened.get_by_role("button", name="Video of the frames, WebM")).to_be_enabled()
 
 
 def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service):
@@ -719,7 +719,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
         opened.keyboard.press(side)
         opened.keyboard.press("Shift+ArrowLeft" if side == "1" else "Shift+ArrowRight")
         expect_frame(opened, 1 if side == "1" else FRAMES)
-        opened.get_by_role("button", name="Add this place").click()
+        opened.get_by_role("button", name="Add this position").click()
         opened.locator(".scene").focus()
     places = opened.locator(".camera-keys li")
     expect(places).to_have_text([re.compile("^0 %: 0° around"), re.compile("^100 %: 90° around")])
@@ -730,7 +730,7 @@ def test_a_film_of_ones_own(opened, tmp_path):
             assert image.size == (1080, 1080) and image.getpixel((0, 0))[3] == 0
     opened.route("**/exports", lambda route: route.abort())
     opened.get_by_label("Pace").select_option("linear")
-    opened.get_by_label("Rests").select_option("0.5")
+    opened.get_by_label("Pauses").select_option("0.5")
     opened.get_by_label("Format").select_option("mp4")
     with opened.expect_request(re.compile("/exports$")) as asked:
         opened.get_by_role("button", name="Export").click()

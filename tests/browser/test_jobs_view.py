@@ -84,11 +84,11 @@ def test_filters_live_in_the_address(service, finished, page):
     page.goto("/")
     expect(row(page, "a finished one")).to_be_visible()
     page.get_by_role("button", name="Timed out", exact=True).click()
-    expect(page.get_by_text("No job is like that.")).to_be_visible()
+    expect(page.get_by_text("No jobs match.")).to_be_visible()
     page.get_by_role("button", name="Succeeded", exact=True).click()
     expect(row(page, "a finished one")).to_be_visible()
     page.get_by_label("Method").select_option("swd")
-    expect(page.get_by_text("No job is like that.")).to_be_visible()
+    expect(page.get_by_text("No jobs match.")).to_be_visible()
     page.get_by_label("Method").select_option("physics")
     expect(row(page, "a finished one")).to_be_visible()
 
@@ -167,7 +167,7 @@ def test_keys_are_asked_for_and_kept_for_the_tab(new_service, new_page):
     page = new_page(of=guarded)
     page.goto("/")
     page.get_by_role("button", name="Not now").click()
-    expect(page.get_by_role("alert")).to_contain_text("This needs a key.")
+    expect(page.get_by_role("alert")).to_contain_text("This requires a key.")
     page.get_by_role("button", name="Enter key").click()
     page.get_by_label("API key").fill("not-a-key")
     page.get_by_role("button", name="Use this key").click()
@@ -193,11 +193,11 @@ def test_the_own_queue_is_paused_and_goes_on(new_service, new_page):
     expect(page.get_by_text("Your queue is paused. 1 job of yours will wait")).to_be_visible()
     expect(row(page, "one that waits")).to_contain_text("Paused")
     assert waiting.call("GET", "/v1/queue").json()["paused"]
-    expect(page.get_by_role("button", name="End the pause")).to_be_focused()
-    page.get_by_role("button", name="End the pause").press("Enter")
+    expect(page.get_by_role("button", name="Unpause")).to_be_focused()
+    page.get_by_role("button", name="Unpause").press("Enter")
     expect(row(page, "one that waits")).to_contain_text("Next in the queue")
     waiting.pause_queue()
-    expect(page.get_by_role("button", name="End the pause")).to_be_visible()
+    expect(page.get_by_role("button", name="Unpause")).to_be_visible()
 
 
 RECORD = """window.Notification = class extends Notification {
@@ -234,7 +234,7 @@ def test_notifications_that_are_blocked(service, new_page):
     page = new_page(permissions=[])
     page.goto("/")
     page.get_by_role("button", name="Notify me when a job ends").click()
-    expect(page.get_by_role("dialog")).to_contain_text("Allow them in the browser's settings")
+    expect(page.get_by_role("dialog")).to_contain_text("Allow them in its settings")
     page.get_by_role("button", name="Close").click()
     bell = page.get_by_role("button", name="Notify me when a job ends")
     expect(bell).to_have_attribute("aria-pressed", "false")

@@ -126,7 +126,7 @@ def test_a_mesh_of_any_size_is_fitted_and_that_can_be_undone(service, mesh_files
     expect(said).to_have_count(0)
     fit = page.get_by_label("Fit into the domain", exact=True)
     expect(fit).to_have_value("none")
-    expect(page.get_by_text("Shapes keep the size and place")).to_be_visible()
+    expect(page.get_by_text("Shapes keep the size and position")).to_be_visible()
     trouble = from_card.get_by_role("alert").filter(has_text="pebble.obj")
     expect(trouble).to_contain_text("“Fit into the domain”")
     expect(trouble).not_to_contain_text("--")
@@ -258,7 +258,7 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
         drop(page, file)
         expect(from_card).to_contain_text(f"{file.name}:")
         wait_for_particles(page)
-        expect(page.get_by_text("Usually ready in about")).to_be_visible()
+        expect(page.get_by_text("Usually takes about")).to_be_visible()
 
     page.goto("/new")
     wait_for_particles(page)
@@ -266,8 +266,8 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     refused = from_card.get_by_role("alert").filter(has_text="sheet.obj")
     seen = act(lambda: drop(page, sheet), refused.wait_for)
     assert seen[-1] == NOTHING
-    page.get_by_label("Lasts").fill("7")
-    page.get_by_label("Lasts").blur()
+    page.get_by_label("Duration").fill("7")
+    page.get_by_label("Duration").blur()
     expect(page.get_by_text("1 setting changed")).to_be_attached()
     assert page.evaluate(RECORD) == NOTHING, "another setting does not bring it back"
     page.get_by_role("button", name="Morph").click()
@@ -298,7 +298,7 @@ def test_a_mesh_sent_before_and_a_text_can_be_chosen(service, mesh_files, page):
     service.call("POST", "/v1/meshes?name=ball.obj", content=ball.read_bytes())
     page.goto("/new")
     card(page, "From").get_by_role("radio", name="Mesh file").check()
-    card(page, "From").get_by_label("Or a mesh sent before").select_option("ball.obj")
+    card(page, "From").get_by_label("Or a mesh uploaded before").select_option("ball.obj")
     expect(card(page, "From")).to_contain_text("ball.obj:")
     chosen = page.url
     card(page, "From").get_by_role("radio", name="Built-in").check()
@@ -309,9 +309,9 @@ def test_a_mesh_sent_before_and_a_text_can_be_chosen(service, mesh_files, page):
     word = card(page, "To").get_by_role("textbox", name="Text")
     word.fill(" ")
     word.blur()
-    expect(card(page, "To")).to_contain_text("Give a letter or more")
+    expect(card(page, "To")).to_contain_text("Enter at least one character")
     word.fill("\ue8ff")
-    expect(card(page, "To")).to_contain_text("No installed typeface has the letter")
+    expect(card(page, "To")).to_contain_text("No installed font has the character")
     word.fill("½ Ωμέγα & é/#?")
     with page.expect_response(re.compile(r"/v1/shapes/text%3A.*/particles")) as sampled:
         word.blur()
@@ -464,7 +464,7 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
     frames = page.get_by_label("Frames", exact=True)
     frames.fill("0")
     frames.blur()
-    expect(page.get_by_text("Give a whole number from 1 to 10000.")).to_be_visible()
+    expect(page.get_by_text("Enter a whole number from 1 to 10000.")).to_be_visible()
     page.get_by_role("button", name="Morph").click()
     expect(frames).to_be_focused()
     assert sent == []
@@ -474,19 +474,19 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
     expect(frames).to_have_value("0")
     frames.fill("7")
     frames.blur()
-    expect(page.get_by_text("Give a whole number from 1 to 10000.")).to_have_count(0)
+    expect(page.get_by_text("Enter a whole number from 1 to 10000.")).to_have_count(0)
     expect(page).to_have_url(re.compile("frames%22%3A7"))
 
 
 def test_a_morph_lasts_as_many_seconds_as_asked(page):
     """At twelve frames a second, all legs together; what cannot be is told and not sent."""
     page.goto("/new?source=shape:sphere&target=shape:sphere&via=shape:torus")
-    lasts = page.get_by_label("Lasts")
+    lasts = page.get_by_label("Duration")
     expect(lasts).to_have_value("6.67")
     expect(page.get_by_label("Frames", exact=True)).to_be_hidden()
     lasts.fill("-1")
     page.get_by_role("button", name="Morph").click()
-    expect(page.get_by_text("Give a number of seconds above 0, at most 1666.")).to_be_visible()
+    expect(page.get_by_text("Enter a number of seconds above 0 and at most 1666.")).to_be_visible()
     expect(lasts).to_be_focused()
     lasts.fill("5")
     lasts.blur()
@@ -505,7 +505,7 @@ def test_what_lasts_ten_times_as_long_is_ready_later(mesh_files, page):
     card(page, "From").get_by_label("Mesh file of the source").set_input_files(
         mesh_files["ball.obj"]
     )
-    cost = page.get_by_text("Usually ready in about")
+    cost = page.get_by_text("Usually takes about")
 
     def seconds():
         minutes, rest = re.search(
@@ -515,8 +515,8 @@ def test_what_lasts_ten_times_as_long_is_ready_later(mesh_files, page):
 
     expect(cost).to_be_visible()
     usual, words = seconds(), cost.text_content()
-    page.get_by_label("Lasts").fill("33.3")
-    page.get_by_label("Lasts").blur()
+    page.get_by_label("Duration").fill("33.3")
+    page.get_by_label("Duration").blur()
     expect(cost).not_to_have_text(words)
     assert seconds() == pytest.approx(10 * usual, rel=0.15)
 
@@ -542,7 +542,7 @@ def test_what_only_the_service_refuses_is_told_beside_its_field(page):
 def test_a_morph_goes_through_several_shapes(service, mesh_files, page):
     """Shapes between are added and removed, live in the address, and make one job of three legs."""
     page.goto("/new?source=shape:sphere&target=shape:sphere")
-    add = page.get_by_role("button", name="Add a shape between")
+    add = page.get_by_role("button", name="Add a shape in between")
     for _ in range(3):
         add.click()
     between = card(page, "Through (2)")
@@ -555,7 +555,7 @@ def test_a_morph_goes_through_several_shapes(service, mesh_files, page):
     make_it_small(page)
     method(page, "dco").check()
     page.get_by_role("button", name="Morph").click()
-    expect(page.get_by_role("alert").filter(has_text="takes one method")).to_be_visible()
+    expect(page.get_by_role("alert").filter(has_text="can use only one method")).to_be_visible()
     method(page, "flow").uncheck()
     page.get_by_role("button", name="Morph").click()
     page.wait_for_url("**/jobs/*")
@@ -625,7 +625,7 @@ def test_a_morph_with_the_keyboard_alone(service, page):
     tab_to(card(page, "From").get_by_label("sphere"))
     page.keyboard.press("ArrowRight")
     expect(card(page, "From").get_by_label("torus")).to_be_checked()
-    tab_to(page.get_by_label("Lasts"))
+    tab_to(page.get_by_label("Duration"))
     page.keyboard.press("ControlOrMeta+A")
     page.keyboard.type("0.2")
     tab_to(page.get_by_label("Name"))

@@ -106,7 +106,7 @@ def test_a_shape_without_colours_asks_for_none(page, service):
     assert asked.value.headers["morph-shapes"] == "0"
     expect_frame(page, 2, 2)
     colour = page.get_by_label("Colour", exact=True)
-    expect(colour.locator("option:checked")).to_have_text("Of the look")
+    expect(colour.locator("option:checked")).to_have_text("Of the material")
     assert "Of the shapes" not in colour.inner_text()
 
 

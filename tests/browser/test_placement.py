@@ -37,7 +37,7 @@ def form(page, mesh_files):
     page.get_by_label("Frames", exact=True).fill("3")
     page.get_by_label("Frames", exact=True).blur()
     card(page, "To").get_by_label("Mesh file of the target").set_input_files(mesh_files["box.stl"])
-    expect(page.get_by_text("The target is given a quarter turn about x")).to_be_visible()
+    expect(page.get_by_text("The target is rotated by 90 degrees about x")).to_be_visible()
     settle(page)
     return page
 
@@ -70,25 +70,25 @@ def config_of(service, page):
 def test_numbers_turn_scale_and_move(service, form):
     """They are kept in the address and with the job; one button takes all of it back."""
     target = card(form, "To")
-    target.get_by_text("Turn and place").click()
+    target.get_by_text("Rotate and move").click()
     expect(target.get_by_label("Upward axis")).to_contain_text("z, as usual for STL")
-    target.get_by_label("Turn about y, target").fill("30")
+    target.get_by_label("Rotate about y, target").fill("30")
     target.get_by_label("Move along x, target").fill("-2.5")
     target.get_by_label("Size").fill("0.8")
     target.get_by_label("Size").press("ArrowUp")
-    expect(target.get_by_text("turned, scaled, moved")).to_be_visible()
+    expect(target.get_by_text("rotated, scaled, moved")).to_be_visible()
     assert "placement.target.rotate" in form.url
     target.get_by_label("Size").fill("0")
     target.get_by_label("Size").blur()
     expect(target.get_by_role("alert").filter(has_text="above 0")).to_be_visible()
     form.reload()
-    target.get_by_text("Turn and place").click()
-    expect(target.get_by_label("Turn about y, target")).to_have_value("30")
-    target.get_by_role("button", name="Back to where it was").click()
-    expect(target.get_by_label("Turn about y, target")).to_have_value("0")
+    target.get_by_text("Rotate and move").click()
+    expect(target.get_by_label("Rotate about y, target")).to_have_value("30")
+    target.get_by_role("button", name="Reset").click()
+    expect(target.get_by_label("Rotate about y, target")).to_have_value("0")
     assert "placement" not in form.url
-    target.get_by_label("Turn about z, target").fill("45")
-    target.get_by_label("Turn about z, target").blur()
+    target.get_by_label("Rotate about z, target").fill("45")
+    target.get_by_label("Rotate about z, target").blur()
     settle(form)
     _, config = config_of(service, form)
     usual = {"up": "auto", "rotate": [0, 0, 0], "scale": 1, "move": [0, 0, 0]}
@@ -100,10 +100,10 @@ def test_built_in_shapes_are_turned_too(page):
     page.goto("/new")
     settle(page)
     target = card(page, "To")
-    target.get_by_text("Turn and place").click()
+    target.get_by_text("Rotate and move").click()
     with page.expect_request(re.compile("/shapes/star/particles.*rotate.*source=sphere")):
-        target.get_by_label("Turn about z, target").fill("90")
-        target.get_by_label("Turn about z, target").blur()
+        target.get_by_label("Rotate about z, target").fill("90")
+        target.get_by_label("Rotate about z, target").blur()
     settle(page)
 
 
@@ -125,13 +125,13 @@ def test_a_shape_that_lies_is_stood_up_with_a_click(page):
     over = target.get_by_role("button", name="Tip it over")
     over.click()
     expect(unknown).to_be_hidden()
-    expect(target.get_by_label("Turn about x, target")).to_have_value("-90")
+    expect(target.get_by_label("Rotate about x, target")).to_have_value("-90")
     settle(page)
     page.wait_for_timeout(SETTLED)
     assert width_of(page, "To") < 0.8 * lying
     for angle in ("180", "90", "0"):
         over.click()
-        expect(target.get_by_label("Turn about x, target")).to_have_value(angle)
+        expect(target.get_by_label("Rotate about x, target")).to_have_value(angle)
     assert "placement" not in page.url
     expect(unknown).to_be_visible()
 
@@ -169,7 +169,7 @@ def test_handles_move_scale_and_turn_by_as_much_as_they_are_drawn(
         expect(card(page, end).get_by_text("ball.obj: ")).to_be_visible()
     settle(page)
     ball = card(page, label)
-    ball.get_by_text("Turn and place").click()
+    ball.get_by_text("Rotate and move").click()
     page.get_by_role("button", name="Morph", exact=True).hover()  # away from the handles
     ball.get_by_role("application").press("1")  # from the front
     expect(ball.get_by_role("application")).not_to_have_attribute("aria-busy", "true")
@@ -185,8 +185,8 @@ def test_handles_move_scale_and_turn_by_as_much_as_they_are_drawn(
     expect(page).to_have_url(re.compile(rf"placement\.{role}\.move"))
     settle(page)
     assert numbers("Move along") == pytest.approx([40 * grid_units, 0, 0], rel=0.08, abs=0.01)
-    assert numbers("Turn about") == [0, 0, 0]
-    ball.get_by_role("button", name="Back to where it was").click()
+    assert numbers("Rotate about") == [0, 0, 0]
+    ball.get_by_role("button", name="Reset").click()
     expect(page).not_to_have_url(re.compile("placement"))
     settle(page)
 
@@ -199,12 +199,12 @@ def test_handles_move_scale_and_turn_by_as_much_as_they_are_drawn(
     assert scale == pytest.approx(45 / 60, abs=0.03)
     assert numbers("Move along") == [0, 0, 0]
 
-    ball.get_by_role("button", name="Turn", exact=True).click()
+    ball.get_by_role("button", name="Rotate", exact=True).click()
     page.wait_for_timeout(SETTLED)
     pull(page, label, (65, -65), (-30, -30))
     expect(page).to_have_url(re.compile(rf"placement\.{role}\.rotate"))
     settle(page)
-    turned = numbers("Turn about")
+    turned = numbers("Rotate about")
     assert abs(turned[2]) > 5 and turned[:2] == pytest.approx([0, 0], abs=0.5)
     _, config = config_of(service, page)
     usual = {"up": "auto", "rotate": [0, 0, 0], "scale": 1, "move": [0, 0, 0]}
@@ -215,9 +215,9 @@ def test_handles_move_scale_and_turn_by_as_much_as_they_are_drawn(
 
 def test_what_is_turned_unasked_is_left_with_one_click(form):
     """The notice goes, and the upward axis is that of the other shape."""
-    form.get_by_role("button", name="Leave both as they lie").click()
-    expect(form.get_by_text("is given a quarter turn")).to_have_count(0)
-    card(form, "To").get_by_text("Turn and place").click()
+    form.get_by_role("button", name="Keep both as they are").click()
+    expect(form.get_by_text("is rotated by 90 degrees")).to_have_count(0)
+    card(form, "To").get_by_text("Rotate and move").click()
     expect(card(form, "To").get_by_label("Upward axis")).to_have_value("y")
 
 
@@ -227,7 +227,7 @@ def test_landmarks_are_picked_named_and_kept(service, form, serious_faults):
     Undo takes back a click, then a pair. In the job's view the dot ends within 1 dx.
     """
     landmarks = form.get_by_role("region", name="Landmarks")
-    landmarks.get_by_role("button", name="Pick in the pictures").click()
+    landmarks.get_by_role("button", name="Pick in the views").click()
     rows = landmarks.get_by_role("listitem")
     form.mouse.click(*middle(form, "From"))
     expect(landmarks.get_by_role("status")).to_have_text(re.compile("Now click .* target"))
@@ -241,7 +241,7 @@ def test_landmarks_are_picked_named_and_kept(service, form, serious_faults):
     expect(rows).to_have_count(1)
     landmarks.get_by_label("Name").fill("front")
     landmarks.get_by_label("Name").blur()
-    landmarks.get_by_role("button", name="Pick in the pictures").click()
+    landmarks.get_by_role("button", name="Pick in the views").click()
     assert serious_faults(form) == []
     form.get_by_label("Particles per cell edge", exact=True).fill("2")
     form.get_by_label("Frames", exact=True).fill("10")

@@ -75,7 +75,7 @@ def test_without_a_key_a_link_shows_its_job_alone(new_service, new_page):
         page.get_by_role("button", name="Result, VTKHDF").click()
     assert download.value.suggested_filename.endswith(".vtkhdf")
     assert link["secret"] in page.url
-    page.get_by_role("link", name="Skip to the content").focus()
+    page.get_by_role("link", name="Skip to content").focus()
     page.keyboard.press("Enter")
     assert link["secret"] not in page.url
     page.reload()

@@ -101,7 +101,7 @@ def test_a_margin_is_kept() -> None:
     """Where particles are to keep away from the walls, none is given up."""
     method = Physics(problem("physics", **{"watchdog.restarts": 2, "grid.margin": 0.05}))
     with_one(method, place=15.9, speed=30.0)
-    with pytest.raises(SimulationError, match="out of the domain"):
+    with pytest.raises(SimulationError, match="left the domain"):
         method.advance(0)
 
 

@@ -24,7 +24,7 @@ def test_landmarks_are_read_from_text_and_file(tmp_path):
 @pytest.mark.parametrize("text", ["0,1,2", "0,1,2:", "0,1,2:3,4,5:6,7,8", "a,b,c:0,0,0"])
 def test_text_that_is_no_pair_is_refused(text):
     """The message shows how to write one."""
-    with pytest.raises(ConfigError, match="no pair of points") as caught:
+    with pytest.raises(ConfigError, match="not a pair of points") as caught:
         read_landmarks([text], None)
     assert "--landmark 0,1,2:3,4,5" in caught.value.remedy
 
@@ -32,10 +32,10 @@ def test_text_that_is_no_pair_is_refused(text):
 def test_a_file_that_holds_none_is_refused(tmp_path):
     """Not JSON, or not there."""
     file = tmp_path / "landmarks.json"
-    with pytest.raises(ConfigError, match="holds no landmarks"):
+    with pytest.raises(ConfigError, match="is not a file of landmarks"):
         read_landmarks([], file)
     file.write_text("x,y,z")
-    with pytest.raises(ConfigError, match="holds no landmarks"):
+    with pytest.raises(ConfigError, match="is not a file of landmarks"):
         read_landmarks([], file)
 
 

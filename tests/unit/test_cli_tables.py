@@ -52,11 +52,11 @@ def test_the_end_of_a_run_is_a_few_lines(capsys):
         }
     )  # fmt: skip
     assert capsys.readouterr().out.splitlines() == [
-        "98% of the target is filled, 3% of the fill lies beside it; density 0.98 to 1.11 of an "
+        "98% of the target is filled, 3% of the fill lies outside it; density 0.98 to 1.11 of an "
         "even fill's.",
         "40 frames of 37,594 particles in 0:17 (26 CPU s, 420 MB): my result.vtkhdf",
-        "look at it:  morph view 'my result.vtkhdf'",
-        "all numbers: morph metrics 'my result.vtkhdf'",
+        "view it:     morph view 'my result.vtkhdf'",
+        "all metrics: morph metrics 'my result.vtkhdf'",
     ]
 
 

@@ -297,8 +297,8 @@ def test_the_same_texture_twice_is_the_same_file(result, tmp_path):
 @pytest.mark.parametrize(
     ("format", "options", "cause"),
     [
-        ("glb", {"texture": 32, "tracked": True}, "32 pixels an edge is out of range"),
-        ("glb", {"texture": 8192, "tracked": True}, "8192 pixels an edge is out of range"),
+        ("glb", {"texture": 32, "tracked": True}, "32 pixels is out of range"),
+        ("glb", {"texture": 8192, "tracked": True}, "8192 pixels is out of range"),
         ("glb", {"texture": 256}, "tracked surface in a GLB"),
         ("usd", {"texture": 256, "tracked": True}, "tracked surface in a GLB"),
     ],
@@ -389,7 +389,7 @@ def test_each_leg_leads_from_the_colours_of_the_last_one(ball, egg, tmp_path):
     """A loop ball, egg, ball: its colours pass the egg's and come back, without a jump."""
     record = prepare(ball, [egg, ball], configure("fast", SETTINGS))
     path = steady(record, tmp_path / "loop.vtkhdf", legs=2)
-    with pytest.raises(ConfigError, match="these frames lie on 2 legs"):
+    with pytest.raises(ConfigError, match="these frames span 2 legs"):
         export(path, tmp_path / "loop.glb", "glb", texture=256, tracked=True)
     with Trajectory(path) as run:
         assert run.colors.shape == (3, run.particle_count, 3)

@@ -44,7 +44,7 @@ def test_overrides_reach_their_field() -> None:
         ({"frames": 0}, "greater than or equal to 1"),
         ({"material.poisson_ratio": 0.5}, "less than 0.5"),
         ({"material.model": "jelly"}, "neo_hookean"),
-        ({"time.dt": 0.03}, "stable limit 0.02196"),
+        ({"time.dt": 0.03}, "stability limit of 0.02196"),
         ({"grid.dx": 0.7}, "whole cells"),
         ({"grid.half_extent": 150}, "4 to 250"),
         ({"method": "joint", "smoothing.values": "0.9,0.9"}, "one entry per value"),
@@ -53,7 +53,7 @@ def test_overrides_reach_their_field() -> None:
         ({"method": "joint", "transport.sweeps": 1}, "belongs to transport"),
         ({"method": "dco", "basis.learning_rate": 1}, "belongs to shared_basis"),
         ({"method": "jont"}, "Did you mean 'joint'"),
-        ({"method.name": "joint"}, "Name it with `method`"),
+        ({"method.name": "joint"}, "Set it with `method`"),
     ],
 )
 def test_bad_values_name_the_remedy(overrides: dict[str, object], words: str) -> None:

@@ -257,7 +257,7 @@ def test_endings():
         ("a.ply", "plx", {}, ConfigError, "'ply'"),
         ("a.stl", "stl", {}, ConfigError, "surfaces only"),
         ("a.obj", "obj", {"fields": ["speed"]}, ConfigError, "ply"),
-        ("a.npz", "npz", {"surface": True}, ConfigError, "no surface"),
+        ("a.npz", "npz", {"surface": True}, ConfigError, "not support surfaces"),
         ("a.ply", "ply", {"frames": [0, 1]}, ConfigError, r"\.zip"),
         ("a.ply", "ply", {"frames": [3]}, ResultError, "3 frames"),
         ("a.ply", "ply", {"fields": ["sped"]}, ConfigError, "'speed'"),

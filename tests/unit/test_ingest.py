@@ -124,7 +124,7 @@ def test_reversed_faces_are_turned():
     mesh = make_mesh(BALL.vertices, faces, name="ball")
     check_mesh(mesh)
     report = inspect_mesh(mesh)
-    assert report.watertight and "looked inwards and have been turned" in report.warnings[0]
+    assert report.watertight and "pointed inwards and have been flipped" in report.warnings[0]
 
 
 def test_an_opening_is_told_in_the_coordinates_of_the_file():

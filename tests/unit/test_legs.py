@@ -174,7 +174,7 @@ def test_one_target_in_a_list_is_a_plain_morph() -> None:
 def test_landmarks_do_not_go_with_several_targets() -> None:
     """They belong to one pair of shapes, which the error says."""
     marks = [{"source": [0, 0, 0], "target": [0, 0, 0]}]
-    with pytest.raises(ConfigError, match="Landmarks lead from one shape to one other"):
+    with pytest.raises(ConfigError, match="Landmarks need exactly one target"):
         prepare("sphere", ["star", "torus"], small("flow", landmarks=marks))
     with pytest.raises(ConfigError, match="no target"):
         prepare("sphere", [], small())

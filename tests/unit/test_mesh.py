@@ -143,7 +143,7 @@ def test_relative_obj_indices(tmp_path):
     path.write_text(obj(BOX.vertices, relative))
     assert load_mesh(path).volume == pytest.approx(480)
     error = refusal(path, obj(BOX.vertices, relative) + "v 0 0 0\n")
-    assert "backwards" in error.cause
+    assert "relative vertex indices" in error.cause
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 0.0), (0.0, 0.0, 0.0)])
@@ -175,7 +175,7 @@ def test_inside_out_mesh_is_turned():
     """A mesh with inward normals is turned, and the report says so."""
     mesh = make_mesh(BOX.vertices, BOX.faces[:, ::-1], name="box")
     assert mesh.volume == pytest.approx(480)
-    assert mesh.repairs == ("The surface was inside out and has been turned.",)
+    assert mesh.repairs == ("The surface was inside out and has been flipped.",)
 
 
 def test_faces_that_disagree_are_turned_outwards(tmp_path):
@@ -187,7 +187,7 @@ def test_faces_that_disagree_are_turned_outwards(tmp_path):
     solid = [trimesh.Trimesh(ball.vertices, flipped, process=False), hole]
     trimesh.util.concatenate(solid).export(tmp_path / "scan.stl")
     mesh = load_mesh(tmp_path / "scan.stl")
-    assert mesh.repairs == (f"{len(flipped[::3])} faces looked inwards and have been turned.",)
+    assert mesh.repairs == (f"{len(flipped[::3])} faces pointed inwards and have been flipped.",)
     assert mesh.volume == pytest.approx(ball.volume + hole.volume)  # a cavity stays one
     assert hole.volume < 0
     assert Topology(mesh.vertices, mesh.faces).watertight
@@ -213,7 +213,7 @@ def test_repeated_faces_are_dropped():
     repeated = np.concatenate([BOX.faces, np.roll(BOX.faces[:5], 1, axis=1)])
     mesh = make_mesh(BOX.vertices, repeated, name="box")
     assert len(mesh.faces) == 12
-    assert mesh.repairs == ("5 repeated faces have been dropped.",)
+    assert mesh.repairs == ("5 duplicate faces have been removed.",)
 
 
 def test_unused_vertices_do_not_widen_the_bounds():

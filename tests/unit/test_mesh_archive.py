@@ -87,13 +87,13 @@ def test_what_is_not_there_is_told(tmp_path):
     """The shape is read all the same."""
     files = {"box.obj": box_obj(), "box.mtl": "newmtl skin\nmap_Kd skin.png\n"}
     mesh = load_mesh(archive(tmp_path / "box.zip", files))
-    assert mesh.repairs == ("skin.png is not in the archive and has been left out.",)
+    assert mesh.repairs == ("skin.png is not in the archive and has been ignored.",)
     alone = load_mesh(archive(tmp_path / "alone.zip", {"box.obj": box_obj()}))
     assert alone.colors is None
-    assert alone.repairs == ("box.mtl is not in the archive and has been left out.",)
+    assert alone.repairs == ("box.mtl is not in the archive and has been ignored.",)
     (tmp_path / "box.obj").write_text(box_obj())
     lone = load_mesh(tmp_path / "box.obj")
-    assert lone.repairs == ("For colours of box.mtl, put both files into a ZIP archive.",)
+    assert lone.repairs == ("To use the colours of box.mtl, put both files into a ZIP archive.",)
 
 
 def test_a_gltf_has_its_buffer_and_its_picture(tmp_path):
@@ -141,11 +141,11 @@ def refusal(path):
 def test_one_archive_holds_one_mesh(tmp_path):
     """Nobody has to guess which is meant."""
     box = box_obj()
-    assert "holds no mesh" in refusal(archive(tmp_path / "a.zip", {"read.me": "nothing"}))
+    assert "contains no mesh" in refusal(archive(tmp_path / "a.zip", {"read.me": "nothing"}))
     two = archive(tmp_path / "b.zip", {"one.obj": box, "two.obj": box})
     assert "2 meshes, such as one.obj and two.obj" in refusal(two)
     nested = archive(tmp_path / "c.zip", {"box.zip": archive(two, {"a.obj": box}).read_bytes()})
-    assert "holds no mesh" in refusal(nested)
+    assert "contains no mesh" in refusal(nested)
 
 
 def test_archives_that_are_no_archives(tmp_path):
@@ -175,7 +175,7 @@ def test_an_archive_unfolds_to_no_more_than_a_file_may_have(tmp_path, monkeypatc
     monkeypatch.setattr(mesh_module, "FILE_BYTES_LIMIT", 2**20)
     bomb = archive(tmp_path / "bomb.zip", {"box.obj": box_obj(), "zeros": bytes(2**21)})
     assert bomb.stat().st_size < 10_000
-    assert "holds more than 1 MiB" in refusal(bomb)
+    assert "contains more than 1 MiB" in refusal(bomb)
     many = archive(tmp_path / "many.zip", {f"{k}.txt": "" for k in range(1001)})
     assert "1001 files" in refusal(many)
 

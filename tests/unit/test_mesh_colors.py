@@ -137,7 +137,7 @@ def test_a_picture_that_unfolds_to_too_much_is_left_out_unread(tmp_path, monkeyp
     mesh = written(tmp_path, shape, "bomb.glb")
     assert mesh.colors is None
     assert mesh.repairs == (
-        "A texture of 64 x 64 pixels is too large and has been left out. Scale it down to see it.",
+        "A texture of 64 x 64 pixels is too large and has been ignored. Scale it down to use it.",
     )
 
 

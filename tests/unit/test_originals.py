@@ -64,5 +64,5 @@ def test_what_needs_no_file_is_made_within_the_papers_bounds(name, tmp_path):
 def test_a_mesh_that_lies_elsewhere_is_refused():
     """Triangles, volume and area alone would not tell."""
     recipe = RECIPES["sphere.obj"]
-    with pytest.raises(MeshError, match="another bounding box"):
+    with pytest.raises(MeshError, match="different bounding box"):
         build("bunny.obj", recipe, None)

@@ -64,7 +64,7 @@ def test_shapes_made_for_each_other_keep_their_places(scale):
     placement = place(source, target, fit="auto")
     assert placement.source == placement.target
     assert source.volume * placement.source.scale**3 == pytest.approx(REFERENCE_VOLUME)
-    assert "moved alike" in placement.message
+    assert "moved together" in placement.message
 
 
 def test_shapes_far_apart_keep_their_sizes():
@@ -90,7 +90,7 @@ def test_only_what_needs_it_is_scaled():
     placement = place(Solid.of(make("sphere")), cube(2.8), fit="auto")
     assert placement.source == AS_IT_IS
     assert placement.message.startswith("The target is scaled by 3.99 and centred")
-    aside = solid([13, -7, -7], [27, 7, 7])  # beside a file, both would be moved alike
+    aside = solid([13, -7, -7], [27, 7, 7])  # beside a file, both would be moved together
     assert place(Solid.of(make("sphere")), aside, fit="auto").source == AS_IT_IS
 
 
@@ -220,7 +220,7 @@ def test_a_target_that_stands_on_another_axis_is_turned():
         half = np.ptp(placement.target.box(tall.bounds), axis=0) / 2
         axis = 1 if upright == "y" else 2
         assert placement.up == upright and half.argmax() == axis
-        assert f"The target is given a quarter turn about x, since {other}" in placement.turning
+        assert f"The target is rotated by 90 degrees about x, since {other}" in placement.turning
         upwards = placement.target.apply(np.eye(3)["yz".index(other) + 1]) - np.array(
             placement.target.offset
         )

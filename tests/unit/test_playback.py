@@ -223,13 +223,16 @@ def test_a_moving_mesh_keeps_the_time(loop: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda run, to: video(run, to / "a.mp4", background="transparent"), "no transparent"),
+        (
+            lambda run, to: video(run, to / "a.mp4", background="transparent"),
+            "cannot have a transparent",
+        ),
         (lambda run, to: video(run, to / "a.mp4", background="mauvish"), "no colour"),
         (lambda run, to: video(run, to / "a.gif", frames=[0], timing=Timing(1)), "whole run"),
-        (lambda run, to: check("ply", timing=Timing(1)), "no playing time"),
+        (lambda run, to: check("ply", timing=Timing(1)), "does not support a playing time"),
         (lambda run, to: check("glb", surface=True, timing=Timing(1)), "tracked surface"),
         (lambda run, to: check("gif", frames=[1], timing=Timing(1)), "whole run"),
-        (lambda run, to: check("pc2", surface=True), "a mesh that moves"),
+        (lambda run, to: check("pc2", surface=True), "tracked surfaces only"),
         (lambda run, to: CameraKey(1.5, View()), "from 0 to 1"),
         (lambda run, to: CameraKey(1, View(elevation=95)), "-90 to 90"),
         (lambda run, to: CameraPath(keys=2 * (CameraKey(0, View()),)), "same time"),

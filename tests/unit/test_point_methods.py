@@ -260,7 +260,7 @@ def test_k_nearest_neighbors_of_coinciding_points() -> None:
 
 def test_repulsion_needs_listed_neighbours() -> None:
     """More repelling neighbours than listed ones are refused."""
-    with pytest.raises(ConfigError, match="at most neighbors"):
+    with pytest.raises(ConfigError, match="not exceed neighbors"):
         configure("fast", {"method": "dco", "regularizers.neighbors": 5})
 
 

@@ -375,7 +375,7 @@ def test_refusals_name_cause_and_remedy(small_result, tmp_path, monkeypatch):
     """Odd sizes, other endings and a missing package are told before anything is written."""
     with pytest.raises(ConfigError, match="even numbers"):
         video(small_result, tmp_path / "a.mp4", size=(121, 90))
-    with pytest.raises(ConfigError, match=r"\.mp4 or \.gif"):
+    with pytest.raises(ConfigError, match=r"\.mov or \.gif"):
         video(small_result, tmp_path / "a.avi")
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ExtraError, match=r"pip install 'chamfer-morph\[video\]'"):

@@ -50,7 +50,7 @@ def test_a_wrong_name_in_a_file_is_named(tmp_path: Path) -> None:
         command, cwd=tmp_path, env=environment,
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
-    assert ended.returncode and "no variable MORPH_WORKRES" in ended.stderr, ended.stderr
+    assert ended.returncode and "no setting MORPH_WORKRES" in ended.stderr, ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 2 and "MORPH_WORKERS" in ended.stderr
 
 

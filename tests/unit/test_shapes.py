@@ -133,7 +133,7 @@ def test_a_typeface_that_is_gone_is_passed_over(tmp_path, monkeypatch):
     """Matplotlib's list of fonts may be older than the last that was removed."""
     gone = FontEntry(fname=str(tmp_path / "gone.ttf"), name="AAA", weight="bold")
     monkeypatch.setattr(fontManager, "ttflist", [gone])
-    with pytest.raises(MeshError, match="No installed typeface"):
+    with pytest.raises(MeshError, match="No installed font"):
         make("text:\ue8ff")
 
 

@@ -72,9 +72,9 @@ def test_haze_and_strays_take_no_part(tmp_path):
     ("places", "options", "words"),
     [
         (directions(8000)[:4000], {"sigma": 0.005}, "no solid"),  # half a shell
-        (directions(8000), {"opacity": -9.0}, "hides"),
-        (np.zeros((10, 3)), {}, "hides"),
-        (directions(8000), {"scale_0": np.nan}, "hides"),
+        (directions(8000), {"opacity": -9.0}, "opaque"),
+        (np.zeros((10, 3)), {}, "opaque"),
+        (directions(8000), {"scale_0": np.nan}, "opaque"),
     ],
 )
 def test_what_encloses_nothing_is_refused(tmp_path, places, options, words):

@@ -83,7 +83,7 @@ def test_a_loop_closes_and_ping_pong_returns() -> None:
     there = moments(WAYS, STOPS, Timing(3, 30, hold=0.1, repeat="ping-pong"))
     assert there[0].weights == there[-1].weights
     assert max(places(there)) == pytest.approx(sum(WAYS))
-    with pytest.raises(ConfigError, match="comes back to its first shape"):
+    with pytest.raises(ConfigError, match="returns to its first shape"):
         moments(WAYS, STOPS, Timing(3, 30, repeat="loop"))
 
 
@@ -96,5 +96,5 @@ def test_numbers_out_of_range_are_refused(wrong) -> None:
 
 def test_rests_that_leave_no_time_are_refused() -> None:
     """Three rests of a second do not go into three seconds."""
-    with pytest.raises(ConfigError, match="3 rests of 1 s leave no time"):
+    with pytest.raises(ConfigError, match="3 pauses of 1 s leave no time"):
         moments(WAYS, STOPS, Timing(3, 30, hold=1))

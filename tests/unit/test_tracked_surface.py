@@ -161,7 +161,7 @@ def test_a_limit_of_vertices_is_kept(lump):
 
 def test_one_frame_has_no_motion(lump, tmp_path):
     """It is refused before a file is written."""
-    with pytest.raises(ConfigError, match="two frames"):
+    with pytest.raises(ConfigError, match="two or more frames"):
         export(lump, tmp_path / "a.glb", "glb", frames=[2], tracked=True)
     assert not list(tmp_path.iterdir())
 
@@ -302,12 +302,12 @@ def test_point_cache_counts_the_frame_in_which_the_topology_changes(ring, tmp_pa
 @pytest.mark.parametrize(
     ("name", "format", "options", "words"),
     [
-        ("a.zip", "pc2", {"frames": [0, 1, 3]}, "even distances"),
+        ("a.zip", "pc2", {"frames": [0, 1, 3]}, "evenly spaced"),
         ("a.pc2", "pc2", {}, r"\.zip"),
         ("a.ply", "ply", {}, "glb"),
-        ("a.csv", "csv", {}, "no tracked"),
+        ("a.csv", "csv", {}, "not support tracked"),
         ("a.zip", "glb", {}, r"\.glb"),
-        ("a.glb", "glb", {"fields": ["speed"]}, "no fields"),
+        ("a.glb", "glb", {"fields": ["speed"]}, "cannot have fields"),
     ],
 )
 def test_refusals(lump, tmp_path, name, format, options, words):

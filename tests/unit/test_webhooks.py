@@ -43,7 +43,7 @@ def test_secrets() -> None:
 )  # fmt: skip
 def test_no_message_goes_to_addresses_that_are_not_public(host: str) -> None:
     """However they are written; unless their network is allowed."""
-    with pytest.raises(ConfigError, match="which is no public address"):
+    with pytest.raises(ConfigError, match="which is not a public address"):
         anyio.run(resolve, host, 80, ())
 
 

@@ -65,7 +65,7 @@ class SpareEngine:
             return
         with self._lock:
             if self._spare and self._spare.ended:
-                log.warning("A spare engine process has ended; another one follows.")
+                log.warning("A spare engine process has ended; another one will be started.")
                 self._spare, self._start_at = None, time.monotonic() + PAUSE_SECONDS
             if not self._spare and time.monotonic() >= self._start_at and self._is_time():
                 extent = self._taken.extent if self._taken else None

@@ -69,7 +69,7 @@ class Bucket:
         except (exceptions.BaseError, ValueError) as error:
             raise ConfigError(
                 f"MORPH_OBJECT_STORE cannot be used ({_first_line(error)}).",
-                "Write s3://bucket/prefix, and see the AWS_* variables.",
+                "Use the form s3://bucket/prefix, and check the AWS_* variables.",
             ) from error
 
     def get(self, key: str) -> bytes:
@@ -187,7 +187,7 @@ def _asking() -> Iterator[None]:
     except BaseError as error:
         raise StoreUnavailableError(
             "The object store does not answer.",
-            f"See that it runs, and the AWS_* variables: {_first_line(error)}",
+            f"Check that it runs, and the AWS_* variables: {_first_line(error)}",
         ) from error
 
 

@@ -388,7 +388,7 @@ class JobMirror:
 
 def _restless() -> StoreUnavailableError:
     return StoreUnavailableError(
-        f"The job's files have changed {ROUNDS} times while they were read.", "Try again soon."
+        f"The job's files changed {ROUNDS} times while they were read.", "Try again soon."
     )
 
 

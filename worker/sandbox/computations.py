@@ -34,13 +34,13 @@ TASKS = "chamfer_morph.worker.tasks"
 
 SURFACE = Wording("The surface", "compute", "Run the job with fewer points per cell edge.")
 COLORS = Wording("The colours", "look up", "Wait until the job has ended.")
-RESULT = Wording("The result", "write", "Fetch single frames.")
+RESULT = Wording("The result", "write", "Fetch individual frames.")
 EXPORT = Wording(
     "The export",
     "compute",
-    "Ask for fewer frames at a time, or run the job with fewer points per cell edge.",
+    "Request fewer frames at a time, or run the job with fewer points per cell edge.",
 )
-DECIMATE = "Decimate the mesh; the simulation sees no detail below half a grid unit."
+DECIMATE = "Decimate the mesh; the simulation resolves no detail below half a grid unit."
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ class Sandbox:
             return runner.run(f"{TASKS}.{task}", arguments, limits, wording, computation)
         except CrashedError as error:
             raise MeshError(
-                f"{name} breaks the program that reads meshes ({error.reason}).",
+                f"{name} crashed the program that reads meshes ({error.reason}).",
                 "Export the mesh again, as OBJ, STL or GLB.",
             ) from None
         except ResourceError:

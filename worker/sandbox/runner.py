@@ -51,7 +51,7 @@ class CrashedError(ResultError):
     """
 
     def __init__(self, subject: str, reason: str) -> None:
-        super().__init__(f"{subject} has broken off ({reason}).", "Try it again.")
+        super().__init__(f"{subject} failed unexpectedly ({reason}).", "Try again.")
         self.reason = reason
 
 
@@ -195,8 +195,8 @@ def run(
         raise _too_much(wording, f"{limits.memory_bytes >> 20} MiB of memory")
     if -status == signal.SIGKILL:
         raise ResourceError(
-            f"{wording.subject} is not there, because its process was killed from outside.",
-            "Ask again; if it is killed again, the machine has too little memory.",
+            f"{wording.subject} is not available because its process was killed from outside.",
+            "Try again; if it is killed again, the machine probably has too little memory.",
         )
     if status or answer is None:
         how = describe_exit(status)

@@ -50,8 +50,8 @@ def run(
         except MorphError as error:
             if isinstance(error.__cause__, OSError) and error.__cause__.errno in DISK_FULL:
                 raise ResourceError(
-                    "The export does not fit the disk, or what this key may fill of it.",
-                    "Delete exports and jobs that are not needed any more.",
+                    "The export does not fit on the disk or in the disk quota of this key.",
+                    "Delete exports and jobs that are no longer needed.",
                 ) from error
             raise
         stored = StoredExport(

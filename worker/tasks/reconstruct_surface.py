@@ -32,7 +32,7 @@ def run(result: Path, index: int, path: Path) -> None:
             return
         frame, record = read_frame(result, index), read_run_record(result)
         if frame is None or record is None:
-            raise ResultError("The frame has gone meanwhile.", "Ask for it again.")
+            raise ResultError("The frame no longer exists.", "Request it again.")
         spacing = record.spacing_of(frame.positions)
         found = reconstruct_surface(frame.positions, spacing)
         report: dict[str, Any] = {

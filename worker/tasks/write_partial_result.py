@@ -33,7 +33,9 @@ def run(job_dir: Path) -> None:
             if has_unsaved_frames(result):
                 write_partial_result(result)
     except TimeoutError:
-        raise ResultError("The engine of the job has not ended yet.", "Ask again soon.") from None
+        raise ResultError(
+            "The engine of the job is still stopping.", "Try again in a moment."
+        ) from None
 
 
 def write_partial_result(result: Path) -> None:

@@ -54,7 +54,7 @@ def _run(settings: Settings) -> None:
         try:
             anyio.run(deliver_forever, settings)
         except Exception:  # nothing may end it
-            log.exception("webhooks have to try again")
+            log.exception("webhooks failed and will be tried again")
             time.sleep(POLL_SECONDS)
 
 
@@ -71,7 +71,7 @@ async def deliver_forever(settings: Settings) -> None:
         try:
             await _deliver(message, webhooks, pool, settings)
         except sa.exc.DBAPIError:  # the database is away; the message is still in it
-            log.warning("what became of a webhook message could not be noted", exc_info=True)
+            log.warning("the outcome of a webhook message could not be recorded", exc_info=True)
         finally:
             busy.discard(message.webhook)
             ended.set()
@@ -148,12 +148,12 @@ async def _send(message: Message, pool: httpcore.AsyncConnectionPool) -> tuple[i
             ) as answer:
                 status = int(answer.status)
     except TimeoutError:
-        return None, f"No answer came within {ANSWER_SECONDS:g} s."
+        return None, f"No response within {ANSWER_SECONDS:g} s."
     except MorphError as error:
         return None, error.cause
     except Exception as error:  # whatever a stranger's server brings about
         return None, f"The request failed ({str(error) or type(error).__name__})."
-    return status, "" if 200 <= status < 300 else f"The answer has the status {status}."
+    return status, "" if 200 <= status < 300 else f"The response has the status {status}."
 
 
 def payload(message: Message) -> bytes:

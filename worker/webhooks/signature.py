@@ -32,9 +32,9 @@ def check_secret(secret: str) -> None:
         length = 0
     if not secret.startswith(PREFIX) or not SHORTEST_BYTES <= length <= LONGEST_BYTES:
         raise ConfigError(
-            "This is no secret of a webhook.",
-            f"Give {PREFIX} and {SHORTEST_BYTES} to {LONGEST_BYTES} random bytes in base64, or "
-            "leave it out: the service makes one.",
+            "This is not a valid webhook secret.",
+            f"Give {PREFIX} and {SHORTEST_BYTES} to {LONGEST_BYTES} random bytes in "
+            "base64, or omit it to have the service make one.",
         )
 
 

@@ -41,14 +41,14 @@ def parse_url(url: str) -> httpx.URL:
         raise ConfigError(f"The URL cannot be read ({error}).", "Check it.") from None
     if parsed.scheme not in ("http", "https") or not host:
         raise ConfigError(
-            "The URL of a webhook begins with https:// or http:// and a host.", "Check it."
+            "The URL of a webhook must begin with https:// or http:// and a host.", "Check it."
         )
     if not 0 < port_of(parsed) < 1 << 16:
         raise ConfigError(f"There is no port {parsed.port}.", "Check the URL.")
     if parsed.userinfo or parsed.fragment:
         raise ConfigError(
-            "The URL of a webhook has no user name, password or fragment.",
-            "Leave them out; messages are signed.",
+            "The URL of a webhook must not have a user name, password or fragment.",
+            "Remove them; messages are signed.",
         )
     return parsed
 
@@ -74,16 +74,16 @@ async def resolve(host: str, port: int, allowed: Iterable[Network]) -> list[str]
         found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         raise HostNotFoundError(
-            f"The host {host} cannot be found ({error}).", "Check the URL."
+            f"The host {host} was not found ({error}).", "Check the URL."
         ) from None
     addresses = [str(sockaddr[0]) for *_, sockaddr in found]
     networks = list(allowed)
     for address in addresses:
         if not _may_be_reached(ipaddress.ip_address(address), networks):
             raise ConfigError(
-                f"{host} is {address}, which is no public address.",
-                "Give a public one. Whoever runs the service may allow networks by "
-                "MORPH_WEBHOOK_NETWORKS.",
+                f"{host} is {address}, which is not a public address.",
+                "Use a public address. An administrator of the service can allow "
+                "networks by MORPH_WEBHOOK_NETWORKS.",
             )
     return addresses
 
@@ -148,7 +148,7 @@ class CheckedNetwork(httpcore.AsyncNetworkBackend):
         Raises:
             httpcore.ConnectError: Always.
         """
-        raise httpcore.ConnectError("webhooks reach no sockets of this machine")
+        raise httpcore.ConnectError("webhooks cannot use sockets of this machine")
 
     async def sleep(self, seconds: float) -> None:
         """Wait [s]."""

@@ -265,7 +265,7 @@ function parsed(text) {
   try {
     return JSON.parse(text);
   } catch {
-    return { detail: "The answer is not one of this service." };
+    return { detail: "The response is not from this service." };
   }
 }
 
@@ -273,6 +273,6 @@ function unreachable() {
   return new Problem({
     title: "No answer",
     detail: "The service does not answer.",
-    remedy: "See that the service runs, and try again.",
+    remedy: "Check that the service is running, and try again.",
   });
 }

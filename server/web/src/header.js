@@ -48,7 +48,7 @@ async function look(health) {
   try {
     const workers = (await get("/workers", { quiet: true })).filter((worker) => worker.alive);
     const busy = workers.filter((worker) => worker.job).length;
-    if (workers.length === 0) show(health, "warn", "No worker");
+    if (workers.length === 0) show(health, "warn", "No workers");
     else {
       const noun = workers.length === 1 ? "worker " : "workers ";
       show(health, "good", `${busy} of ${workers.length}`, h("span", { class: "wide" }, " ", noun, "busy"));

@@ -55,13 +55,13 @@ function prompt(problem) {
       h(
         "form",
         { method: "dialog", class: "stack" },
-        h("h2", { id: "key-title" }, "A key is needed"),
+        h("h2", { id: "key-title" }, "A key is required"),
         h("p", null, problem.message),
         h("div", { class: "field" }, h("label", { for: "key" }, "API key"), input),
         h(
           "p",
           { class: "quiet" },
-          "It is kept until this tab is closed. Whoever runs the service makes one with ",
+          "It is kept until this tab is closed. An administrator of the service makes keys with ",
           h("code", null, "morph keys create"),
           ".",
         ),

@@ -37,7 +37,7 @@ export async function switchNotifying() {
   watching?.abort();
   watching = null;
   startNotifying();
-  announce(on ? "You will be notified when a job of yours ends." : "No more notifications.");
+  announce(on ? "You will be notified when a job of yours ends." : "Notifications are off.");
 }
 
 async function watch(signal) {
@@ -100,8 +100,8 @@ function explain() {
     h(
       "form",
       { method: "dialog", class: "stack" },
-      h("h2", { id: "blocked" }, "The browser shows no notifications"),
-      h("p", null, "They are blocked for this page. Allow them in the browser's settings of this page, and try again."),
+      h("h2", { id: "blocked" }, "Notifications are blocked"),
+      h("p", null, "The browser blocks them for this page. Allow them in its settings for this page, and try again."),
       h("div", { class: "actions" }, h("button", { class: "primary" }, "Close")),
     ),
   );

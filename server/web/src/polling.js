@@ -24,7 +24,7 @@ export async function poll(ask, signal, onTrouble) {
       if (signal.aborted) return;
       if (error.name !== "Problem") throw error;
       troubled = true;
-      if (!error.status) error.remedy = "The page goes on by itself once the service runs.";
+      if (!error.status) error.remedy = "The page reconnects by itself when the service is back.";
       onTrouble(error);
       wait = Math.min(wait * 2, SLOWEST);
     }

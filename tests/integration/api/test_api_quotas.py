@@ -295,7 +295,7 @@ def test_a_job_that_the_disk_has_no_room_for_is_refused(make_api: Callable[..., 
     ):
         answer = api.http.post(path, json=body)
         assert answer.status_code == 413, answer.text
-        assert "0.1 GB more" in answer.json()["detail"]
+        assert "0.1 GB left" in answer.json()["detail"]
         assert "states_every" in answer.json()["remedy"]
     assert api.http.get("/v1/jobs").json()["items"] == []
     api.submit(overrides=COARSE, frames=300)
@@ -310,8 +310,8 @@ def test_a_fork_that_nobody_has_room_for_is_refused(
     job = first.finished(run)
     used = first.context.storage.job_bytes(job)
     for settings, status, cause in (
-        ({"job_memory_bytes": 1_000_000}, 422, "jobs here may have 1 MB"),
-        ({"disk_bytes_per_key": used + 1000}, 413, "0.0 GB more"),
+        ({"job_memory_bytes": 1_000_000}, 422, "the limit is 1 MB per job"),
+        ({"disk_bytes_per_key": used + 1000}, 413, "0.0 GB left"),
     ):
         api = make_api(data_dir=tmp_path / "data", **settings)
         answer = api.http.post(f"/v1/jobs/{job}/fork", json={"frame": 1, "states_every": 1})

@@ -230,7 +230,7 @@ def test_a_posed_shape_in_previews_and_jobs(api: Api) -> None:
     answer = api.http.get(f"/v1/meshes/{mesh['id']}/particles", params=query)
     extent = np.ptp(np.frombuffer(answer.content, "<f4").reshape(-1, 3), axis=0)
     assert extent.argmax() == 1 and answer.headers["Morph-Up"] == "y"
-    assert "The target is given a quarter turn" in answer.headers["Morph-Turning"]
+    assert "The target is rotated by 90 degrees" in answer.headers["Morph-Turning"]
 
     pose = {"target": {"rotate": [0, 0, 90], "move": [0, 1, 0]}}
     query["placement"] = json.dumps(pose)

@@ -49,12 +49,12 @@ def test_whose_they_are(either: Api) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"url": "http://127.0.0.1/"}, "no public address"),
-        ({"url": "http://localhost:8000/"}, "no public address"),
-        ({"url": "http://169.254.169.254/latest"}, "no public address"),
-        ({"url": "http://[::ffff:10.0.0.1]/"}, "no public address"),
-        ({"url": "http://[fec0::1]/"}, "no public address"),
-        ({"url": "http://192.0.0.192/"}, "no public address"),
+        ({"url": "http://127.0.0.1/"}, "not a public address"),
+        ({"url": "http://localhost:8000/"}, "not a public address"),
+        ({"url": "http://169.254.169.254/latest"}, "not a public address"),
+        ({"url": "http://[::ffff:10.0.0.1]/"}, "not a public address"),
+        ({"url": "http://[fec0::1]/"}, "not a public address"),
+        ({"url": "http://192.0.0.192/"}, "not a public address"),
         ({"url": "http://xn--a/"}, "cannot be read"),
         ({"url": "gopher://8.8.8.8/"}, "http"),
         ({"url": "http://ann:word@8.8.8.8/"}, "password"),

@@ -16,7 +16,7 @@ export const GROUPS = [
   },
   { title: "Closest particles", unit: "h", names: { least_gap: "smallest distance" } },
   { title: "det F", unit: "ratio", names: { det_f_min: "least", det_f_mean: "mean", det_f_max: "greatest" } },
-  { title: "Motion", unit: "dx a frame", names: { max_move: "farthest way" } },
+  { title: "Motion", unit: "dx per frame", names: { max_move: "longest move" } },
   {
     title: "Losses",
     unit: "logarithmic",
@@ -36,7 +36,7 @@ export const FINAL = {
   iou: { label: "Volume overlap", unit: "share", better: "higher" },
   overlap_01: { label: "Coinciding within 0.01 dx", unit: "share", better: "lower" },
   overlap_h10: { label: "Coinciding within 0.1 h", unit: "share", better: "lower" },
-  least_gap: { label: "Smallest distance of two", unit: "h", better: "higher" },
+  least_gap: { label: "Smallest distance", unit: "h", better: "higher" },
   many_to_one: { label: "Distinct nearest targets", unit: "share", better: "higher" },
   rho_p05: { label: "Density, 5 % quantile", unit: "ratio", better: "one" },
   rho_p95: { label: "Density, 95 % quantile", unit: "ratio", better: "one" },

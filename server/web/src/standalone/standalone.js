@@ -70,7 +70,7 @@ async function start() {
           { class: "tools floating", role: "toolbar", "aria-label": "View" },
           several && kinds,
           looks,
-          iconButton("Everything in sight", "frame", () => viewer.reset(), { key: "Home" }),
+          iconButton("Fit to view", "frame", () => viewer.reset(), { key: "Home" }),
           h("button", { type: "button", class: "icon", "aria-label": "Keys", title: "Keys (?)", on: { click: showKeys } }, "?"),
         ),
       ),

@@ -10,10 +10,10 @@ export const COLOURS = {
   displacement: { label: "Displacement", unit: "dx", local: true },
   speed: { label: "Speed", unit: "dx per frame", local: true },
   target_distance: { label: "Distance to the target", unit: "dx" },
-  density: { label: "Density, of the target's", unit: "ratio", ratio: true },
+  density: { label: "Density relative to target", unit: "ratio", ratio: true },
   det_f: { label: "det F", unit: "ratio", ratio: true },
   target_hits: { label: "Particles on the same target point", unit: "count" },
-  overlap: { label: "Distance to the next particle", unit: "h" },
+  overlap: { label: "Distance to the nearest particle", unit: "h" },
 };
 
 const SAMPLES = 4000;

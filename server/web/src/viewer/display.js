@@ -19,7 +19,7 @@ const SHAPES = [
 /** Colours that tell nothing: those of the shapes, where these have any, and that of the look alone. */
 const PLAIN_COLOURS = [
   ["own", "Of the shapes"],
-  ["look", "Of the look"],
+  ["look", "Of the material"],
 ];
 
 /** How things are shown until somebody chooses otherwise. */
@@ -71,7 +71,7 @@ export class Display {
       { class: "display floating", id: "display", role: "group", "aria-label": "Display" },
       this.#choice("shape", "Show as", SHAPES, "S: surface, P: particles"),
       this.#choice("look", "Look", Object.entries(LOOKS).map(([name, { label }]) => [name, label]), "Material of the surface"),
-      this.#choice("colour", "Colour", [...PLAIN_COLOURS, ...colours], "What the colours tell"),
+      this.#choice("colour", "Colour", [...PLAIN_COLOURS, ...colours], "What the colours show"),
       this.#choice(
         "target",
         "Target",
@@ -80,7 +80,7 @@ export class Display {
           ["cloud", "Cloud"],
           ["wireframe", "Wireframe"],
         ],
-        "The shape to be reached",
+        "The target shape",
       ),
       this.#choice(
         "axis",
@@ -91,7 +91,7 @@ export class Display {
           ["y", "Across y"],
           ["z", "Across z"],
         ],
-        "Take away what lies beyond a plane",
+        "Cut away everything beyond a plane",
       ),
       (this.slider = h(
         "div",
@@ -117,7 +117,7 @@ export class Display {
         "focus",
         "Focus",
         Object.entries(FOCUS).map(([name, { label }]) => [name, label]),
-        "Depth of field: whether what is nearer or farther than what one looks at is blurred",
+        "Depth of field: blurs what is nearer or farther than the point in focus",
       ),
       this.#choice(
         "quality",
@@ -152,7 +152,7 @@ export class Display {
 
   /** Say how finely is drawn, see quality.js. */
   tell({ still, moving }) {
-    this.drawn.textContent = still === moving ? `Drawn: ${still}` : `Drawn: ${still}; in motion: ${moving}`;
+    this.drawn.textContent = still === moving ? `Drawing: ${still}` : `Drawing: ${still}; in motion: ${moving}`;
   }
 
   /** Offer the colours of the shapes, which have some. */

@@ -52,14 +52,14 @@ function nameOf({ code, key, shiftKey }) {
 }
 
 const LIST = [
-  ["Space", "play, stop"],
-  ["← →", "a frame back, a frame on"],
-  ["Shift ← →", "the first frame, the last"],
-  ["Home 0", "everything in sight"],
-  ["1 3 7", "from the front, from the right, from the top"],
-  ["9", "from the opposite side"],
+  ["Space", "play, pause"],
+  ["← →", "previous frame, next frame"],
+  ["Shift ← →", "first frame, last frame"],
+  ["Home 0", "fit to view"],
+  ["1 3 7", "view from the front, the right, the top"],
+  ["9", "view from the opposite side"],
   ["4 6 8 2", "turn left, right, up, down; with Shift move"],
-  ["+ −", "nearer, farther"],
+  ["+ −", "zoom in, zoom out"],
   ["S P", "surface, particles"],
   ["T", "display: what is shown, and how"],
   ["N", "details: numbers, settings, files"],

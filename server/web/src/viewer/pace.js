@@ -12,11 +12,11 @@ const PACES = [
   ["frames", "Frame by frame"],
   ["linear", "Even"],
   ["in-out", "Slow at each shape"],
-  ["overshoot", "Past it and back"],
+  ["overshoot", "Overshoot"],
 ];
 const REPEATS = [
   ["none", "Once"],
-  ["ping-pong", "There and back"],
+  ["ping-pong", "Ping-pong"],
   ["loop", "In a loop"], // where the last shape is the first one
 ];
 
@@ -32,7 +32,7 @@ export class Pace {
     Object.assign(this, { jobId, timeline, signal });
     const change = () => this.#change();
     const named = (all, unit) => all.map((value) => [String(value), `${value} ${unit}`]);
-    this.easing = choice("play-pace", "Pace", PACES, { change, title: "How evenly the shapes become each other" });
+    this.easing = choice("play-pace", "Pace", PACES, { change, title: "How evenly one shape turns into the next" });
     this.seconds = h("input", {
       type: "number",
       id: "play-seconds",
@@ -41,15 +41,15 @@ export class Pace {
       max: MOST_SECONDS,
       step: "any",
       required: true,
-      title: "Seconds from the first picture to the last",
+      title: "Seconds from the first frame to the last",
       value: USUAL_SECONDS,
       on: { change },
     });
-    const lasts = h("label", { class: "small quiet", for: "play-seconds" }, "Lasts [s]");
-    const rates = { value: String(USUAL_FPS), change, title: "Pictures a second, in films" };
+    const lasts = h("label", { class: "small quiet", for: "play-seconds" }, "Duration [s]");
+    const rates = { value: String(USUAL_FPS), change, title: "Frames per second, in recordings" };
     this.rate = choice("play-rate", "Frame rate", named(RATES, "fps"), rates);
-    this.hold = choice("play-hold", "Rests", named(RESTS, "s"), { change, title: "How long it rests at each shape" });
-    this.repeat = choice("play-repeat", "Played", REPEATS, { change, title: "Whether it comes back, or begins anew" });
+    this.hold = choice("play-hold", "Pauses", named(RESTS, "s"), { change, title: "How long it pauses at each shape" });
+    this.repeat = choice("play-repeat", "Repeat", REPEATS, { change, title: "Whether it plays back or starts again" });
     this.timed = [h("div", { class: "field" }, lasts, this.seconds), this.rate.field, this.hold.field, this.repeat.field];
     this.trouble = h("p", { class: "small fault", role: "alert" });
     this.element = h(
@@ -93,7 +93,7 @@ export class Pace {
     const query = this.request;
     if (!query) return this.timeline.setPace(null);
     if (!this.seconds.checkValidity()) {
-      this.trouble.textContent = `Give a number of seconds from 0.1 to ${MOST_SECONDS}.`;
+      this.trouble.textContent = `Enter a number of seconds from 0.1 to ${MOST_SECONDS}.`;
       return;
     }
     try {

@@ -17,7 +17,7 @@ const HURRY_MILLISECONDS = 150;
 const LESS_MOTION = "(prefers-reduced-motion: reduce)";
 const HELP =
   "Drag to turn, right button or two fingers to move, wheel to zoom. " +
-  "Keys: 4, 6, 8 and 2 turn, with Shift they move, + and − zoom; question mark lists all.";
+  "Keys: 4, 6, 8 and 2 turn, with Shift they move, + and − zoom; question mark lists all keys.";
 
 /** A figure with the 3D view of a job; all of its methods may be called before it is ready. */
 export class Panel {
@@ -331,7 +331,7 @@ export class Panel {
       this.#viewer = new Viewer(this.scene, { reducedMotion, onView, onQuality });
     } catch (error) {
       console.warn("no 3D view", error);
-      this.#say("This browser does not show 3D graphics; numbers and downloads are below.");
+      this.#say("This browser does not support 3D graphics; numbers and downloads are below.");
       return null;
     }
     const { axis, offset, up, look, quality, focus } = this.display;
@@ -505,9 +505,9 @@ export class Panel {
   /** Why there are particles where a surface is wanted. */
   #absence() {
     if (this.display.shape !== "surface") return "";
-    if (this.#waits) return "Particles while the job computes; S shows the surface.";
+    if (this.#waits) return "Particles only while the job is running; S shows the surface.";
     const { surfaces, frames } = this;
-    return this.#playing ? `Particles, until all surfaces are here: ${surfaces.count} of ${frames.known}.` : "";
+    return this.#playing ? `Particles until all surfaces are loaded: ${surfaces.count} of ${frames.known}.` : "";
   }
 
   /** The particle nearest to each vertex of the surface of the frame shown. */

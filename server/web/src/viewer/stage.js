@@ -26,7 +26,7 @@ export function stage({ headline, views, panel, frameAll, display, timeline, she
   const tools = h(
     "div",
     { class: "tools floating", role: "toolbar", "aria-label": "View" },
-    iconButton("Everything in sight", "frame", frameAll, { key: "Home" }),
+    iconButton("Fit to view", "frame", frameAll, { key: "Home" }),
     document.fullscreenEnabled && iconButton("Full screen", "full", fullScreen, { key: "F" }),
     h(
       "button",

@@ -52,7 +52,7 @@ export class Timeline {
     this.reading = h("output", { class: "reading", "aria-live": "off" });
     this.rate = h(
       "select",
-      { value: String(USUAL_RATE), "aria-label": "Speed", title: "Frames a second" },
+      { value: String(USUAL_RATE), "aria-label": "Speed", title: "Frames per second" },
       RATES.map((rate) => h("option", { value: rate }, `${rate}/s`)),
     );
     this.loop = h("input", { type: "checkbox" });
@@ -68,9 +68,9 @@ export class Timeline {
       h(
         "div",
         { class: "row steps" },
-        iconButton("One frame back", "back", () => this.step(-1), { key: "←" }),
+        iconButton("Previous frame", "back", () => this.step(-1), { key: "←" }),
         this.toggle,
-        iconButton("One frame on", "forward", () => this.step(1), { key: "→" }),
+        iconButton("Next frame", "forward", () => this.step(1), { key: "→" }),
       ),
       this.range,
       this.reading,

@@ -90,7 +90,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
   });
   const metrics = [
     h("h2", null, "Metrics"),
-    h("p", { class: "quiet small" }, "Differences are to the first job; the best of each row is bold."),
+    h("p", { class: "quiet small" }, "Differences are relative to the first job; the best value in each row is bold."),
     differences,
     h(
       "dl",

@@ -15,7 +15,7 @@ export function table(jobs) {
     h(
       "table",
       null,
-      h("caption", { class: "visually-hidden" }, "Metrics of the last frames, with differences to the first job"),
+      h("caption", { class: "visually-hidden" }, "Metrics of the last frames, with differences from the first job"),
       h(
         "thead",
         null,

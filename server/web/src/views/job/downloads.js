@@ -127,7 +127,7 @@ export class Downloads {
     ];
     const content = choice("export-content", "Content", contents, { change: reflect });
     const frames = choice("export-frames", "Frames", [
-      ["this", "The one shown"],
+      ["this", "The current one"],
       ["all", "All"],
     ]);
     const fields = choice("export-values", "Values", [
@@ -138,18 +138,18 @@ export class Downloads {
     ]);
     const units = choice("export-lengths", "Lengths in", [
       ["user", "Your units"],
-      ["source", "Those of the source"],
-      ["target", "Those of the target"],
+      ["source", "Units of the source"],
+      ["target", "Units of the target"],
       ["grid", "Grid units"],
     ]);
     const colours = choice("export-colours", "Colours", [
-      ["", "At its corners"],
+      ["", "Per vertex"],
       ["1024", "As textures, 1024 pixels"],
       ["2048", "As textures, 2048 pixels"],
     ]);
     const ends = choice("export-ends", "First and last frame", [
-      ["matter", "As the matter lies"],
-      ["meshes", "Drawn to your meshes"],
+      ["matter", "As computed"],
+      ["meshes", "Snapped to meshes"],
     ]);
     format.select.value = USUAL_FORMAT;
     const explain = h("p", { class: "quiet small" });
@@ -199,7 +199,7 @@ export class Downloads {
 
   async #export(state, wanted) {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress of the export" });
-    const words = h("p", { class: "small" }, "The export begins.");
+    const words = h("p", { class: "small" }, "Starting the export.");
     const tell = (...content) => fill(state, ...content).scrollIntoView({ block: "nearest" });
     tell(words, bar);
     try {
@@ -207,7 +207,7 @@ export class Downloads {
       const path = `/jobs/${this.jobId}/exports/${made.id}`;
       while (made.state === "running") {
         bar.value = made.progress ?? 0;
-        words.textContent = `The export is under way, ${percent(made.progress ?? 0)}.`;
+        words.textContent = `The export is in progress, ${percent(made.progress ?? 0)}.`;
         await pause(ASK_MILLISECONDS, this.signal);
         made = await get(path, { signal: this.signal });
       }

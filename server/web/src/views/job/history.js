@@ -11,7 +11,7 @@ export class History {
     this.element = h(
       "section",
       { class: "panel stack", "aria-labelledby": "history" },
-      h("h2", { id: "history" }, "What happened"),
+      h("h2", { id: "history" }, "History"),
       this.list,
     );
     this.events = [];

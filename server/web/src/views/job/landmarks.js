@@ -16,13 +16,13 @@ export function landmarks(all) {
     "section",
     { class: "panel stack", "aria-labelledby": "landmarks" },
     h("h2", { id: "landmarks" }, "Landmarks"),
-    h("p", { class: "quiet small" }, "Dots in the view go with the matter that begins at each."),
+    h("p", { class: "quiet small" }, "Dots in the view follow the matter that starts at each."),
     h("ol", { class: "plain stack" }, rows),
   );
   const show = (positions, particles) =>
     all.forEach(({ target }, i) => {
       const away = distance(positions, particles[i], target);
-      fill(ways[i], `${number(away, 2)} dx from where it is to end`);
+      fill(ways[i], `${number(away, 2)} dx from its target point`);
     });
   return { element, show };
 }

@@ -15,13 +15,13 @@ const BACKGROUNDS = [
   ["white", "White"],
   ["black", "Black"],
   ["transparent", "Transparent"],
-  ["own", "Another colour"],
+  ["own", "Custom colour"],
 ];
 const CAMERAS = [
-  ["still", "At rest"],
+  ["still", "Still"],
   ["turn", "Once around"],
   ["orbit", "Around, up and down"],
-  ["keys", "Through places"],
+  ["keys", "Along a path"],
 ];
 
 export class PictureOptions {
@@ -46,9 +46,9 @@ export class PictureOptions {
     this.places = h(
       "div",
       { class: "stack" },
-      h("p", { class: "small quiet" }, "Go to a frame, turn the view, and add the place; the eye goes through all of them smoothly."),
+      h("p", { class: "small quiet" }, "Go to a frame, turn the view, and add the position; the camera moves smoothly through all of them."),
       this.list,
-      h("div", { class: "row" }, h("button", { type: "button", class: "compact", on: { click: add } }, "Add this place")),
+      h("div", { class: "row" }, h("button", { type: "button", class: "compact", on: { click: add } }, "Add this position")),
     );
     this.element = h(
       "fieldset",
@@ -100,7 +100,7 @@ export class PictureOptions {
           null,
           words,
           " ",
-          h("button", { type: "button", class: "compact", "aria-label": `Remove the place at ${percent(share)}`, on: { click: remove } }, "Remove"),
+          h("button", { type: "button", class: "compact", "aria-label": `Remove the position at ${percent(share)}`, on: { click: remove } }, "Remove"),
         );
       }),
     );

@@ -67,7 +67,7 @@ export function pictures({ panel, timeline, name, signal }) {
       "div",
       { class: "row" },
       h("button", { type: "button", class: "compact", on: { click: picture } }, "Picture, PNG"),
-      canRecord() && film("Film of the frames, WebM", "frames", trajectory),
+      canRecord() && film("Video of the frames, WebM", "frames", trajectory),
       canRecord() && film("Turntable, WebM", "turntable", turntable),
     ),
   );

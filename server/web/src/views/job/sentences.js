@@ -3,22 +3,22 @@ import { plural, state as stateWord } from "../../format.js";
 
 /** What goes on before the first frame. */
 export const STAGES = {
-  filling: "The shapes are filled with particles.",
-  preparing: "The method gets ready.",
-  computing: "The first frame is computed.",
+  filling: "Filling the shapes with particles.",
+  preparing: "Preparing the method.",
+  computing: "Computing the first frame.",
 };
 
 const SAY = {
   submitted: () => "Submitted.",
   attempt: ({ attempt, resumed_frames: resumed }) =>
     resumed
-      ? `Attempt ${attempt} went on after ${plural(resumed, "frame")}.`
-      : `Attempt ${attempt} began.`,
+      ? `Attempt ${attempt} continued after ${plural(resumed, "frame")}.`
+      : `Attempt ${attempt} started.`,
   stage: ({ stage }) => STAGES[stage],
   watchdog: ({ frame, message, kind }) =>
     kind === "placement" ? message : `Frame ${frame + 1}: ${message || kind}`,
   problem: ({ cause, remedy, retry }) =>
-    [cause, remedy, retry && "It is tried again."].filter(Boolean).join(" ").replaceAll("`", ""),
+    [cause, remedy, retry && "It will be tried again."].filter(Boolean).join(" ").replaceAll("`", ""),
   state: ({ state }) => `${stateWord(state)}.`,
 };
 

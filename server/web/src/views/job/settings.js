@@ -36,7 +36,7 @@ function show(body, job, config, preset) {
     preset &&
       (own.length
         ? table("Settings that differ from the preset", own, usual)
-        : h("p", { class: "quiet" }, "Nothing differs from the preset.")),
+        : h("p", { class: "quiet" }, "All settings are those of the preset.")),
     h(
       "details",
       null,

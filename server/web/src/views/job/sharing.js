@@ -22,8 +22,8 @@ export class Sharing {
       h(
         "p",
         { class: "quiet small" },
-        "Whoever has a link sees this job and can save its result, without a key, until you revoke the link. ",
-        OWN_MACHINE.test(location.hostname) && "This address is that of your own machine; others cannot follow it.",
+        "Anyone with a link can see this job and save its result, without a key, until you revoke the link. ",
+        OWN_MACHINE.test(location.hostname) && "This address is only valid on your own machine; others cannot use it.",
       ),
       this.links,
       h(
@@ -53,7 +53,7 @@ export class Sharing {
       const entry = this.#entry(link);
       this.links.append(entry);
       entry.querySelector("input").select();
-      announce("The link is there.");
+      announce("The link has been made.");
     } catch (error) {
       this.#fault(error);
     } finally {
@@ -78,7 +78,7 @@ export class Sharing {
     const input = h("input", { value, readonly: true, "aria-label": "Address of the link", on: { focus: () => input.select() } });
     const copy = async () => {
       await copied(input);
-      announce("The link is copied.");
+      announce("The link has been copied.");
       button.textContent = "Copied";
     };
     const button = h("button", { type: "button", class: "compact", on: { click: copy } }, "Copy");
@@ -88,7 +88,7 @@ export class Sharing {
   async #revoke(link, entry) {
     const question = {
       title: "Revoke this link?",
-      text: "Whoever has it sees the job no more. This cannot be undone.",
+      text: "Anyone who has it will no longer see the job. This cannot be undone.",
       action: "Revoke",
     };
     if (!(await confirmed(question))) return;
@@ -99,7 +99,7 @@ export class Sharing {
       if (error.status !== 404) return this.#fault(error); // else somebody has revoked it already
     }
     entry.remove();
-    announce("The link is revoked.");
+    announce("The link has been revoked.");
     this.element.querySelector(".row button").focus();
   }
 

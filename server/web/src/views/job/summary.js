@@ -10,7 +10,7 @@ import { MAX_COMPARED } from "../compare/max_compared.js";
 import { actions } from "../jobs/actions.js";
 import { STAGES } from "./sentences.js";
 
-const GONE = "The service does not answer. The page goes on by itself once it is back.";
+const GONE = "The service does not answer. The page reconnects by itself when it is back.";
 const METRICS = [
   ["two_sided", "Chamfer distance", "dx"],
   ["hausdorff", "Hausdorff", "dx"],
@@ -110,7 +110,7 @@ export class Summary {
         h(
           "div",
           { class: "compare-choices" },
-          others.length === 0 && h("p", null, "There is no other job yet."),
+          others.length === 0 && h("p", null, "There are no other jobs yet."),
           others.map((other) => {
             const box = h("input", { type: "checkbox", value: other.id, on: { change: most } });
             boxes.push(box);
@@ -177,7 +177,7 @@ function figures({ outcome, progress }) {
 }
 
 function filling({ cover, spill }) {
-  return `${percent(cover)} of the target is filled, and ${percent(spill)} of the matter lies beside it.`;
+  return `${percent(cover)} of the target is filled, and ${percent(spill)} of the matter lies outside it.`;
 }
 
 function place(position) {

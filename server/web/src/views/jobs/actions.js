@@ -44,8 +44,8 @@ export function actions(job, changed) {
       "div",
       { class: "row" },
       !ended && button("Cancel", () => to("cancel"), "cancelled"),
-      ended && job.state !== "succeeded" && button("Resume", () => to("resume"), "goes on"),
-      ended && button("Retry", () => again(job, to), "begins anew"),
+      ended && job.state !== "succeeded" && button("Resume", () => to("resume"), "resumed"),
+      ended && button("Retry", () => again(job, to), "restarted"),
       h(
         "a",
         {
@@ -65,8 +65,8 @@ async function again(job, to) {
   const sure =
     job.progress.frame === 0 ||
     (await confirmed({
-      title: "Begin anew?",
-      text: `The ${job.progress.frame} frames of ${jobName(job)} are deleted and computed again.`,
+      title: "Start again?",
+      text: `The ${job.progress.frame} frames of ${jobName(job)} will be deleted and computed again.`,
       action: "Retry",
     }));
   return sure && to("retry");
@@ -75,7 +75,7 @@ async function again(job, to) {
 async function forget(job) {
   const sure = await confirmed({
     title: "Delete this job?",
-    text: `${jobName(job)} and all its frames are deleted. This cannot be undone.`,
+    text: `${jobName(job)} and all its frames will be deleted. This cannot be undone.`,
     action: "Delete",
   });
   return sure && del(`/jobs/${job.id}`);

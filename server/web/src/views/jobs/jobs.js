@@ -162,7 +162,7 @@ class JobList {
         ? h(
             "div",
             { class: "panel empty" },
-            h("p", null, "No job is like that."),
+            h("p", null, "No jobs match."),
             h("a", { class: "button", href: "/" }, "Show all jobs"),
           )
         : this.invitation();
@@ -219,7 +219,7 @@ function table(body) {
         head("Morph"),
         head("State"),
         head("Progress"),
-        head(h("abbr", { title: "How much of the target the matter fills in the end" }, "Filled"), {
+        head(h("abbr", { title: "How much of the target is filled at the end" }, "Filled"), {
           class: "number",
         }),
         head(h("span", { class: "visually-hidden" }, "Actions")),

@@ -28,12 +28,12 @@ export class Queue {
         return h(
           "div",
           { class: "notice warn spread" },
-          h("p", null, `Your queue is paused. ${waiting} until you end the pause.`),
-          this.button("unpause", "End the pause", "Your jobs are started again"),
+          h("p", null, `Your queue is paused. ${waiting} until you unpause it.`),
+          this.button("unpause", "Unpause", "Your jobs will be started again"),
         );
       }
       const any = status.queued + status.running > 0;
-      return any ? this.button("pause", "Pause my queue", "No more of your jobs are started") : [];
+      return any ? this.button("pause", "Pause my queue", "No more of your jobs will be started") : [];
     });
   }
 

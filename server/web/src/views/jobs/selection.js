@@ -47,7 +47,7 @@ export class Selection {
     };
     fill(
       this.element,
-      h("span", null, size === 1 ? "1 chosen; choose up to three more." : `${size} chosen`),
+      h("span", null, size === 1 ? "1 selected; select up to three more." : `${size} selected`),
       h("button", { class: "plain compact", type: "button", on: { click: clear } }, "Clear"),
       size > 1 &&
         h(

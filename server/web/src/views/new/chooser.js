@@ -135,7 +135,7 @@ export class Chooser {
     if (taking !== this.taking) return;
     if (file) return this.take(file);
     this.failed = true;
-    fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, "There is no file in this folder."));
+    fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, "There are no files in this folder."));
   }
 
   /** Take the file of a mesh. */
@@ -146,7 +146,7 @@ export class Chooser {
     this.earlier.value = "";
     this.clear();
     const bar = h("progress", { max: 1, value: 0, "aria-label": `Upload of ${file.name}` });
-    const said = h("p", { class: "small", role: "status" }, `Sending ${file.name}`);
+    const said = h("p", { class: "small", role: "status" }, `Uploading ${file.name}`);
     fill(this.sending, bar, said);
     this.uploading?.abort();
     const own = (this.uploading = new AbortController());
@@ -185,13 +185,13 @@ export class Chooser {
   }
 
   missing() {
-    if (this.uploading) return ["The file is still being sent.", this.picker];
+    if (this.uploading) return ["The file is still being uploaded.", this.picker];
     if (this.failed) return ["Choose another mesh file, or another kind of shape.", this.picker];
     if (this.kinds.file.input.checked && this.kind !== "file") {
       return ["Choose a mesh file, or another kind of shape.", this.picker];
     }
     if (this.kinds.text.input.checked && !(this.kind === "text" && this.word.checkValidity())) {
-      return ["Give a word, or choose another kind of shape.", this.word];
+      return ["Enter a text, or choose another kind of shape.", this.word];
     }
     return null;
   }
@@ -238,7 +238,7 @@ export class Chooser {
     this.earlierField = h(
       "div",
       { class: "field", hidden: true },
-      h("label", { for: `${this.role}-earlier` }, "Or a mesh sent before"),
+      h("label", { for: `${this.role}-earlier` }, "Or a mesh uploaded before"),
       this.earlier,
     );
     get("/meshes", { query: { limit: EARLIER }, signal: this.signal }).then(
@@ -304,7 +304,7 @@ export class Chooser {
     const trouble = h("p", { class: "fault", role: "alert", id: `${this.role}-text-fault` });
     const change = () => {
       const fine = this.word.checkValidity();
-      fill(trouble, fine ? "" : "Give a letter or more.");
+      fill(trouble, fine ? "" : "Enter at least one character.");
       this.word.toggleAttribute("aria-invalid", false);
       if (!fine) this.word.setAttribute("aria-invalid", "true");
     };
@@ -328,7 +328,7 @@ export class Chooser {
       { class: "field" },
       h("label", { for: `${this.role}-text` }, "Text"),
       this.word,
-      h("p", { class: "hint", id: `${this.role}-text-hint` }, "Its letters are made solid, words in lines. Letters of any script that an installed font has."),
+      h("p", { class: "hint", id: `${this.role}-text-hint` }, "Letters are extruded, one word per line. Any script with an installed font works."),
       trouble,
     );
   }
@@ -359,10 +359,10 @@ export class Chooser {
     if (!mesh) return "";
     const { up } = mesh.report;
     const kind = mesh.name.split(".").at(-1).toLowerCase();
-    if (!up) return "not known, nothing is turned";
-    if (["glb", "gltf"].includes(kind)) return `${up}, as glTF says`;
+    if (!up) return "unknown, not rotated";
+    if (["glb", "gltf"].includes(kind)) return `${up}, as defined by glTF`;
     if (kind === "zip") return up;
-    return kind === "stl" ? `${up}, as usual for STL` : `${up}, its flat base`;
+    return kind === "stl" ? `${up}, as usual for STL` : `${up}, from its flat base`;
   }
 
   takeDrops() {

@@ -20,16 +20,16 @@ export class Landmarks {
     this.begun = {}; // the points of a pair that is not complete
     this.picking = false;
     const button = (text, click) => h("button", { type: "button", class: "compact", on: { click } }, text);
-    this.toggle = button("Pick in the pictures", () => this.pick(!this.picking));
+    this.toggle = button("Pick in the views", () => this.pick(!this.picking));
     this.back = button("Undo", () => this.undo());
-    this.typed = button("Add by numbers", () => this.add({ source: [0, 0, 0], target: [0, 0, 0] }));
+    this.typed = button("Add by coordinates", () => this.add({ source: [0, 0, 0], target: [0, 0, 0] }));
     this.said = h("p", { class: "small", role: "status" });
     this.list = h("ol", { "aria-label": "Landmarks" });
     this.element = h(
       "section",
       { class: "stack part landmarks", "aria-label": "Landmarks" },
       h("h2", null, "Landmarks"),
-      h("p", { class: "quiet" }, "Points of the source that are to end at points of the target, as a nose at a nose. None are needed."),
+      h("p", { class: "quiet" }, "Points of the source that should end at points of the target, such as a nose at a nose. Optional."),
       h("div", { class: "row" }, this.toggle, this.back, this.typed),
       this.said,
       this.list,
@@ -88,12 +88,12 @@ export class Landmarks {
   tell() {
     const { source, target } = this.begun;
     this.back.disabled = !source && !target && this.all.length === 0;
-    const full = this.all.length >= MOST && `No more than ${MOST} are taken.`;
+    const full = this.all.length >= MOST && `At most ${MOST} are allowed.`;
     const next = source
       ? "Now click the point of the target where it ends."
       : target
         ? "Now click the point of the source that ends there."
-        : "Click a point of the source, then one of the target. Dragging still turns the pictures.";
+        : "Click a point of the source, then one of the target. Dragging still turns the views.";
     fill(this.said, full || (this.picking ? next : ""));
     for (const end of ENDS) this.mark(end);
   }
@@ -113,7 +113,7 @@ export class Landmarks {
         input.toggleAttribute("aria-invalid", false);
         if (fine) return change(end, values);
         input.setAttribute("aria-invalid", "true");
-        return fill(this.said, "Give three numbers with commas between them: x, y, z.");
+        return fill(this.said, "Enter three numbers separated by commas: x, y, z.");
       };
       return this.input(`${end}-${index}`, `Point of the ${end}`, landmark[end].join(", "), typed);
     };

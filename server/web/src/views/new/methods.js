@@ -24,7 +24,7 @@ export class Methods {
       "fieldset",
       { class: "stack" },
       h("legend", null, h("h2", null, "Method")),
-      h("p", { class: "quiet" }, "Choose several to compare them; each becomes a job of its own."),
+      h("p", { class: "quiet" }, "Choose several to compare them; each becomes a separate job."),
       h(
         "div",
         { class: "methods" },

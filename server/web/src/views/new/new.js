@@ -23,18 +23,18 @@ const FIT = "sampling.fit";
 const EDGE = "sampling.points_per_cell_edge";
 const FINENESS = [
   ["2", "Draft"],
-  ["3", "Usual"],
+  ["3", "Normal"],
   ["4", "Fine"],
   ["5", "Finest"],
 ];
 const MATTER = [
-  ["fast", "Usual"],
+  ["fast", "Normal"],
   ["stiff", "Stiff"],
   ["soft", "Soft"],
   ["viscous", "Viscous"],
-  ["fluid", "A drop"],
+  ["fluid", "Drop"],
 ];
-const OTHER = ["", "As under Research"];
+const OTHER = ["", "Set under Research"];
 const FRAMES = "frames";
 const ESTIMATED_FRAMES = 40; // that the service tells the cost of
 const LANDMARKS = "landmarks";
@@ -43,7 +43,7 @@ const MOST_BETWEEN = 8; // the service takes more
 
 export async function show(root, params, signal) {
   setTitle("New morph");
-  fill(root, h("h1", null, "New morph"), h("p", { class: "quiet", role: "status" }, "One moment."));
+  fill(root, h("h1", null, "New morph"), h("p", { class: "quiet", role: "status" }, "Loading…"));
   const [methods, presets, shapes, schema] = await Promise.all(
     ["/methods", "/presets", "/shapes", "/schemas/config"].map((path) => get(path, { signal })),
   );
@@ -82,7 +82,7 @@ class Form {
     this.more = h(
       "button",
       { type: "button", class: "compact", on: { click: () => this.changed({ via: [...this.draft.via, FIRST_BETWEEN] }) } },
-      "Add a shape between",
+      "Add a shape in between",
     );
     this.ends = h("div", { class: "shapes" });
     this.fitting = h("p", { class: "notice fitting", role: "status", hidden: true });
@@ -134,7 +134,7 @@ class Form {
             { class: "field" },
             h("label", { for: "name" }, "Name"),
             this.name,
-            h("p", { class: "hint" }, "For your own use; may stay empty."),
+            h("p", { class: "hint" }, "Optional."),
           ),
         ),
       ),
@@ -250,7 +250,7 @@ class Form {
     if (message && !this.between.length) this.showFit(message);
     if (!turning) return say(this.turning, "");
     const keep = () => this.setAll({ "placement.source.up": up, "placement.target.up": up });
-    say(this.turning, turning, "Leave both as they lie", keep);
+    say(this.turning, turning, "Keep both as they are", keep);
   }
 
   /** Say what the fit does, with a way to leave the shapes as they are. */
@@ -265,7 +265,7 @@ class Form {
   showNoFit(overridden) {
     if (this.source.missing() || this.target.missing()) return;
     const back = () => this.set(FIT, overridden ? undefined : "auto");
-    const text = "Shapes keep the size and place that they have in their files.";
+    const text = "Shapes keep the size and position from their files.";
     say(this.fitting, text, "Scale and centre them", back);
   }
 
@@ -342,7 +342,7 @@ class Form {
     if (!seen || this.costOf !== own) return; // it is told of what is chosen by now
     const { seconds, memory_mb: memory } = seen.estimate;
     const longer = Math.max(frames / ESTIMATED_FRAMES, 1); // much of a short one is its beginning
-    fill(this.cost, `Usually ready in about ${duration(seconds * longer)}, with ${bytes(memory * 1e6)} of memory.`);
+    fill(this.cost, `Usually takes about ${duration(seconds * longer)}, with ${bytes(memory * 1e6)} of memory.`);
   }
 
   async send(event) {
@@ -350,7 +350,7 @@ class Form {
     const choosers = [this.source, ...this.between.map(({ chooser }) => chooser), this.target];
     if (choosers.some((chooser) => chooser.complains())) return;
     if (this.between.length && this.draft.methods.length > 1) {
-      const words = "A morph through several shapes takes one method: choose one, or remove the shapes between.";
+      const words = "A morph through several shapes can use only one method: choose one, or remove the shapes in between.";
       return fill(this.trouble, h("p", { class: "notice bad", role: "alert" }, words));
     }
     const wrong = this.seconds.wrong ? this.seconds : this.settings.wrong;

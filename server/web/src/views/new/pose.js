@@ -5,7 +5,7 @@ import { fill, h } from "../../dom.js";
 const AXES = ["x", "y", "z"];
 const HANDLES = [
   ["none", "No handles"],
-  ["turn", "Turn"],
+  ["turn", "Rotate"],
   ["move", "Move"],
   ["scale", "Scale"],
 ];
@@ -55,25 +55,25 @@ export class Pose {
       this.unknown,
       h(
         "button",
-        { type: "button", class: "compact", title: "Turn it by 90° about x", on: { click: () => this.tip() } },
+        { type: "button", class: "compact", title: "Rotate it by 90° about x", on: { click: () => this.tip() } },
         "Tip it over",
       ),
     );
-    this.turns = this.vector("rotate", "Turn about", "°", 15);
+    this.turns = this.vector("rotate", "Rotate about", "°", 15);
     this.moves = this.vector("move", "Move along", "grid units", 1);
     this.factor = this.number("scale", "Size", 0.1);
-    this.reset = h("button", { type: "button", class: "compact", on: { click: () => this.forget() } }, "Back to where it was");
+    this.reset = h("button", { type: "button", class: "compact", on: { click: () => this.forget() } }, "Reset");
     this.buttons = HANDLES.map(([mode, text]) =>
       h("button", { type: "button", class: "compact", data: { mode }, on: { click: () => this.take(mode) } }, text),
     );
     this.element = h(
       "details",
       { class: "pose" },
-      h("summary", null, h("span", null, "Turn and place"), " ", this.said),
+      h("summary", null, h("span", null, "Rotate and move"), " ", this.said),
       h(
         "div",
         { class: "stack" },
-        h("div", { class: "row", role: "group", "aria-label": `Handles in the picture of the ${role}` }, this.buttons),
+        h("div", { class: "row", role: "group", "aria-label": `Handles in the view of the ${role}` }, this.buttons),
         this.up.element,
         this.turns.element,
         this.moves.element,
@@ -100,14 +100,14 @@ export class Pose {
     this.unknown.hidden = !unknown || pose.up !== "auto" || pose.rotate.some(Boolean);
     fill(this.trouble);
     this.up.select.value = pose.up;
-    fill(this.up.auto, guess ? `As the file tells (${guess})` : "As the file tells");
+    fill(this.up.auto, guess ? `From the file (${guess})` : "From the file");
     for (const [name, inputs] of [["rotate", this.turns.inputs], ["move", this.moves.inputs]]) {
       inputs.forEach((input, i) => input === document.activeElement || (input.value = String(pose[name][i])));
     }
     if (this.factor !== document.activeElement) this.factor.value = String(pose.scale);
     const done = [
       pose.up !== "auto" && `${pose.up} up`,
-      pose.rotate.some(Boolean) && "turned",
+      pose.rotate.some(Boolean) && "rotated",
       pose.scale !== 1 && "scaled",
       pose.move.some(Boolean) && "moved",
     ].filter(Boolean);
@@ -164,7 +164,7 @@ export class Pose {
 
   upField() {
     const id = `${this.role}-up`;
-    const auto = h("option", { value: "auto" }, "As the file tells");
+    const auto = h("option", { value: "auto" }, "From the file");
     const change = () => this.tell({ up: select.value });
     const select = h("select", { id, on: { change } }, auto, h("option", { value: "y" }, "y"), h("option", { value: "z" }, "z"));
     return { select, auto, element: h("div", { class: "field" }, h("label", { for: id }, "Upward axis"), select) };
@@ -198,7 +198,7 @@ export class Pose {
     const inputs = { rotate: this.turns.inputs, move: this.moves.inputs, scale: [this.factor] }[name];
     const values = inputs.map((input) => (input.value.trim() === "" ? NaN : Number(input.value)));
     const fine = values.every(Number.isFinite) && (name !== "scale" || values[0] > 0);
-    fill(this.trouble, fine ? "" : name === "scale" ? "Give a size above 0." : "Give a number for each axis.");
+    fill(this.trouble, fine ? "" : name === "scale" ? "Enter a size above 0." : "Enter a number for each axis.");
     if (fine) this.tell({ [name]: name === "scale" ? values[0] : values });
   }
 }

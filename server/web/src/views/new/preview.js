@@ -160,7 +160,7 @@ export class Preview {
   undrawable(error) {
     if (this.signal.aborted) return;
     console.warn("no 3D view", error);
-    this.warnings.append(h("p", { class: "quiet small" }, "This browser does not show 3D graphics."));
+    this.warnings.append(h("p", { class: "quiet small" }, "This browser does not support 3D graphics."));
   }
 
   async draw(positions, signal) {

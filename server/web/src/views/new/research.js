@@ -16,7 +16,7 @@ export function research(...content) {
       "summary",
       { on: { click: keep } },
       h("h2", null, "Research"),
-      h("span", { class: "quiet small" }, "Methods of the paper and others, presets, every setting"),
+      h("span", { class: "quiet small" }, "All methods, presets and settings"),
     ),
     h("div", { class: "stack" }, ...content),
   );

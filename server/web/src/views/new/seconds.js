@@ -22,13 +22,13 @@ export class Seconds {
       "aria-describedby": "seconds-hint seconds-fault",
       on: { change: () => this.#read() },
     });
-    const words = "From the first shape to the last; it can be played in other times, too.";
+    const words = "From the first shape to the last; playback can be faster or slower.";
     this.hint = h("p", { class: "hint", id: "seconds-hint" }, words);
     this.trouble = h("p", { class: "fault", id: "seconds-fault", role: "alert" });
     this.element = h(
       "div",
       { class: "field" },
-      h("label", { for: "seconds" }, "Lasts", h("span", { class: "quiet unit" }, " [s]")),
+      h("label", { for: "seconds" }, "Duration", h("span", { class: "quiet unit" }, " [s]")),
       this.input,
       h("div", { class: "hint-or-fault" }, this.hint, this.trouble),
     );
@@ -47,7 +47,7 @@ export class Seconds {
     this.wrong = !(seconds > 0 && seconds <= most);
     this.input.setAttribute("aria-invalid", String(this.wrong));
     this.hint.style.visibility = this.wrong ? "hidden" : "";
-    fill(this.trouble, this.wrong && `Give a number of seconds above 0, at most ${Math.floor(most)}.`);
+    fill(this.trouble, this.wrong && `Enter a number of seconds above 0 and at most ${Math.floor(most)}.`);
     if (!this.wrong) this.changed(Math.max(1, Math.round((seconds * USUAL_RATE) / this.#legs)));
   }
 }

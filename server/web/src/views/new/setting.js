@@ -84,12 +84,12 @@ export class Setting {
       value = Number(text);
       if (text === "" || !this.input.checkValidity() || !Number.isFinite(value)) {
         const noun = about.kind === "integer" ? "a whole number" : "a number";
-        return this.fault(sentence(`give ${noun} ${about.range}`.trim()));
+        return this.fault(sentence(`enter ${noun} ${about.range}`.trim()));
       }
     } else if (about.kind === "array") {
       value = text.split(/[\s,;]+/).map(Number);
       if (value.some((one) => !Number.isFinite(one))) {
-        return this.fault("Give numbers with commas between them.");
+        return this.fault("Enter numbers separated by commas.");
       }
     } else value = text;
     return this.changed(JSON.stringify(value) === JSON.stringify(this.presetValue) ? undefined : value);

@@ -28,7 +28,7 @@ export class Settings {
     this.main = Object.fromEntries(Object.keys(main).map((path) => [path, this.fields.get(path).element]));
     this.groups = [...groups].map(([name, group]) => ({ ...group, element: section(name, group) }));
     this.count = h("span", { class: "quiet small" });
-    this.nothing = h("p", { class: "quiet", hidden: true }, "No setting is called that.");
+    this.nothing = h("p", { class: "quiet", hidden: true }, "No settings match.");
     this.methods = [];
     this.search = h("input", {
       type: "search",
