@@ -80,7 +80,8 @@ def run(record: RunRecord, out: Path, execution: ExecutionOptions) -> Summary:
         if record.placement.message:
             display.print(f"{record.placement.message} Use --fit none to keep shapes as they are.")
         if record.placement.turning:
-            display.print(f"{record.placement.turning} Use --up y to keep both as they are.")
+            kept = f"Use --up {record.placement.up} to keep them as they are."
+            display.print(f"{record.placement.turning} {kept}")
         frames = morphing.run(
             record,
             device=execution.device,

@@ -16,7 +16,7 @@ NO_KEY = 401
 _REMEDIES = {
     NO_KEY: "Give a key with --key or MORPH_KEY; morph keys create makes one.",
     403: "Use a key that is permitted to do this.",
-    404: "Look it up with morph jobs.",
+    404: "Check the id; morph jobs lists those of jobs.",
     413: "Send less data at a time.",
     429: "Try again later.",
 }

@@ -826,7 +826,9 @@ def _path(*segments: str) -> str:
     """
     for segment in segments:
         if segment in ("", ".", ".."):
-            raise ServiceError(f"{segment!r} is not an id.", "Look it up with morph jobs.", 404)
+            raise ServiceError(
+                f"{segment!r} is not an id.", "Check it; morph jobs lists those of jobs.", 404
+            )
     return "".join(f"/{quote(segment, safe='')}" for segment in segments)
 
 

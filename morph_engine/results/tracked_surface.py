@@ -111,34 +111,19 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
     for frame, spacing in zip(positions, spacings, strict=True):
         surfaces.append(reconstruct_surface(frame, spacing, cell_over_h=CELL_OVER_H))
         watch()
-
-    def follow(order: Sequence[int]) -> _Track:
-        """The surface of the first frame of an order in the others."""
-        begin = order[0]
-        mesh = _with_fewer(surfaces[begin], positions[begin], spacings[begin], vertex_limit)
-        tracker = SurfaceTracker(mesh.faces, len(mesh.vertices))
-        vertices = mesh.vertices
-        track = _Track(mesh.faces, np.empty((count, *vertices.shape)), np.zeros(count))
-        previous = begin
-        for k in order:
-            if k != begin:
-                vertices = carried(vertices, positions[previous], positions[k], spacings[previous])
-                vertices = tracker.drawn(vertices, surfaces[k], spacings[k])
-            track.vertices[k] = vertices
-            shown = Surface(vertices, mesh.faces)
-            track.distances[k] = mean_distance(shown, surfaces[k]) / spacings[k]
-            previous = k
-            watch()
-        return track
-
-    forwards = follow(range(count))
-    backwards = follow(range(count)[::-1])
+    forwards, backwards = (
+        _followed(order, positions, spacings, surfaces, vertex_limit, watch)
+        for order in (range(count), range(count)[::-1])
+    )
     ends = surfaces[0], surfaces[-1]
     same = len({(end.bodies, end.euler) for end in ends}) == 1
     change = _change(forwards.distances, backwards.distances, same=same)
+    shown = {k - first for k in wanted}
+    if 0 < change < count - 1:
+        shown.add(change)  # where the second mesh takes over, also if nobody has asked for it
     meshes = []
     for track, span in ((forwards, range(change + 1)), (backwards, range(change, count))):
-        chosen = [k for k in span if first + k in wanted or 0 < change == k < count - 1]
+        chosen = [k for k in span if k in shown]
         if len(chosen) > 1:
             meshes.append(_placed(selection, track, chosen, first, spacings))
     most = max(len(surfaces[0].vertices), len(surfaces[-1].vertices))
@@ -153,6 +138,42 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
             f"The topology changes at frame {changes_at}, where a second mesh takes over."
         )
     return TrackedSurface(tuple(meshes), changes_at)
+
+
+def _followed(
+    order: Sequence[int],
+    positions: Sequence[Floats],
+    spacings: Sequence[float],
+    surfaces: Sequence[Surface],
+    vertex_limit: int | None,
+    watch: Callable[[], None],
+) -> _Track:
+    """The surface of the first frame of an order, carried through the others.
+
+    Args:
+        order: Frames as they come, forwards or backwards.
+        positions: Particles of each frame [dx], shape [n, 3].
+        spacings: Their lattice spacing in each frame [dx].
+        surfaces: The surface of each frame.
+        vertex_limit: As of `track_surface`.
+        watch: Called after each frame.
+    """
+    begin = order[0]
+    mesh = _with_fewer(surfaces[begin], positions[begin], spacings[begin], vertex_limit)
+    tracker = SurfaceTracker(mesh.faces, len(mesh.vertices))
+    vertices = mesh.vertices
+    track = _Track(mesh.faces, np.empty((len(order), *vertices.shape)), np.zeros(len(order)))
+    previous = begin
+    for k in order:
+        if k != begin:
+            vertices = carried(vertices, positions[previous], positions[k], spacings[previous])
+            vertices = tracker.drawn(vertices, surfaces[k], spacings[k])
+        track.vertices[k] = vertices
+        shown = Surface(vertices, mesh.faces)
+        track.distances[k] = mean_distance(shown, surfaces[k]) / spacings[k]
+        previous = k
+        watch()
+    return track
 
 
 def _watch_in_frames(selection: Selection, steps: int) -> Callable[[], None]:
