@@ -23,7 +23,8 @@ from chamfer_morph.schemas import Event, JobState
 from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.worker.event_log import EventLog
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.job_record import JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 
 LOOK_SECONDS = 0.03

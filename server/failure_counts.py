@@ -6,7 +6,8 @@ import threading
 import time
 from collections import Counter
 
-from chamfer_morph.worker.queue import PAGE, JobQueue
+from chamfer_morph.worker.job_listing import PAGE
+from chamfer_morph.worker.queue import JobQueue
 
 OVERLAP_MILLISECONDS = 60_000
 """Rows that finished so long before the last one are looked at again: they may come late, and

@@ -20,8 +20,8 @@ from chamfer_morph.server.submission import (
     idempotent_id,
 )
 from chamfer_morph.worker.frame_reader import read_run_record
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.kept_states import find_state
-from chamfer_morph.worker.queue import JobRecord
 from morph_engine.cost import estimate_run
 from morph_engine.errors import DamagedError, ResultError
 from morph_engine.results.fork import begin_fork, forked_config

@@ -9,7 +9,7 @@ from fastapi import Request
 from chamfer_morph.server.context import ServerContext
 from chamfer_morph.server.single_flight import Key
 from chamfer_morph.worker.frame_reader import Colors, read_colors, read_frame
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 from morph_engine.results.run_record import RunRecord
 
 

@@ -13,7 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from chamfer_morph.worker.job import JobSpec
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.job_record import JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import OwnershipLostError, Storage, StoreUnavailableError
 from morph_engine.code_digest import code_digest
 

@@ -20,8 +20,8 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.reuse import TAKEOVER_SECONDS, find_equal, run_digest, take_over
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.kept_states import states_bytes
-from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.settings import Settings
 from morph_engine import presets
 from morph_engine.config import MorphConfig

@@ -18,7 +18,7 @@ from typing import Any
 
 import psycopg
 import sqlalchemy as sa
-from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer
+from dbos import DBOS, DBOSClient, DBOSPortableJSONSerializer, WorkflowStatus
 from dbos import _dbos as dbos_main
 from dbos import _queue as dbos_queue
 from dbos._serialization import DefaultSerializer
@@ -112,6 +112,10 @@ class WorkflowTable:
             if not error.connection_invalidated:
                 raise
             return self._rows_now(query, values)
+
+    def read(self, ids: list[str], name: str) -> list[WorkflowStatus]:
+        """Whole rows of this name, with what they were given and have returned."""
+        return self._client.list_workflows(workflow_ids=ids, name=name)
 
     def notify(self, channel: str) -> None:
         """Tell those who listen; nobody does on SQLite."""

@@ -16,10 +16,11 @@ from typing import Any
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.job_state import job_state
 from chamfer_morph.worker.own_queue import PAUSED_QUEUE, QUEUE
 from chamfer_morph.worker.places import apart, in_own_order, next_place, rank_in_front
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.queue import JobQueue
 
 
 @dataclass

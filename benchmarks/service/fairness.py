@@ -20,7 +20,8 @@ from chamfer_morph.schemas import JobRequest, JobState
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.server.submission import configure
 from chamfer_morph.worker.job import JobSpec
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.job_record import JobRecord
+from chamfer_morph.worker.queue import JobQueue
 
 KEYS = ("first", "second")
 JOBS_PER_KEY = 500

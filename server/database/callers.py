@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 
 from chamfer_morph.schemas import Scope
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 
 SCOPE_ORDER: tuple[Scope, ...] = ("read", "submit", "admin")
 """Each scope includes those before it."""

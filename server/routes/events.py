@@ -14,7 +14,7 @@ from chamfer_morph.server.auth import AuthenticatedRoute, JobReader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.event_hub import Subscription
 from chamfer_morph.server.routes.job_lookup import VisibleJob
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 
 router: APIRouter = APIRouter(
     prefix="/jobs/{job_id}", tags=["events"], route_class=AuthenticatedRoute

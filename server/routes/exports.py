@@ -22,7 +22,7 @@ from chamfer_morph.server.single_flight import Flight
 from chamfer_morph.server.submission import body_digest
 from chamfer_morph.worker.frame_reader import count_frames
 from chamfer_morph.worker.job import problem_of
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.sandbox.derived_files import ExportOptions, StoredExport
 from morph_engine.errors import DamagedError, MorphError
 

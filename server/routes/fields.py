@@ -23,7 +23,7 @@ from chamfer_morph.server.routes.job_lookup import (
     find_run_record,
 )
 from chamfer_morph.worker.frame_reader import Frame, read_det_f
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 
 router: APIRouter = APIRouter(tags=["fields"], route_class=AuthenticatedRoute)
 

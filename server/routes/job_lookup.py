@@ -18,8 +18,8 @@ from chamfer_morph.server.auth import JobReader
 from chamfer_morph.server.context import Context, ServerContext
 from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.job_state import Action, allowed
-from chamfer_morph.worker.queue import JobRecord
 from chamfer_morph.worker.storage import StoreUnavailableError
 from morph_engine.errors import DamagedError, MorphError
 from morph_engine.results.run_record import RunRecord

@@ -14,7 +14,7 @@ from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, bytes_response
 from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.routes.job_lookup import VisibleJob, find_run_record
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 from morph_engine.results.run_record import Role, RunRecord
 
 router: APIRouter = APIRouter(

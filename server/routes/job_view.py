@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from chamfer_morph.schemas import Job, JobState, Progress
 from chamfer_morph.server.context import ServerContext
+from chamfer_morph.worker.job_listing import RECORD_CACHE_SIZE
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.progress import JobProgress, read_progress
-from chamfer_morph.worker.queue import RECORD_CACHE_SIZE, JobRecord
 
 
 def file_stem(record: JobRecord) -> str:

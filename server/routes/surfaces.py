@@ -18,7 +18,7 @@ from chamfer_morph.server.http.conditional import binary_responses, etag_headers
 from chamfer_morph.server.http.problems import not_found
 from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob
 from chamfer_morph.worker.frame_reader import read_transform
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.sandbox.derived_files import StoredSurface
 
 router: APIRouter = APIRouter(

@@ -27,8 +27,8 @@ from chamfer_morph.server.submission import (
     request_digest,
     submit,
 )
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.progress import read_progress
-from chamfer_morph.worker.queue import JobRecord
 from morph_engine.config import overrides_of
 
 router: APIRouter = APIRouter(prefix="/sweeps", tags=["sweeps"], route_class=AuthenticatedRoute)

@@ -15,7 +15,7 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.particle_colors import find_colors
 from chamfer_morph.server.routes.job_lookup import VisibleJob, fetch, find_frame
 from chamfer_morph.worker.frame_reader import Colors, count_frames, read_run_record
-from chamfer_morph.worker.queue import JobRecord
+from chamfer_morph.worker.job_record import JobRecord
 from morph_engine.errors import ResultError
 from morph_engine.files import replacing
 

@@ -20,7 +20,8 @@ from chamfer_morph.schemas import BuiltInShape, JobState, Shape
 from chamfer_morph.schemas.ids import new_id
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.job import JobSpec
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.job_record import JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.slots import WorkerSlots
 from chamfer_morph.worker.storage import open_storage

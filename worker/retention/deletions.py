@@ -12,7 +12,8 @@ from contextlib import contextmanager, suppress
 
 import sqlalchemy as sa
 
-from chamfer_morph.worker.queue import JobQueue, JobRecord
+from chamfer_morph.worker.job_record import JobRecord
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
 from chamfer_morph.worker.tables import create_missing
 
