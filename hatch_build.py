@@ -48,6 +48,8 @@ class BuildHook(BuildHookInterface[Any]):
         web = Path(self.root) / "server" / "web"
         if not (web / "package.json").is_file():
             return
+        if _page_is_there(web) and not (Path(self.root) / ".git").exists():
+            return  # an sdist has it, built from these sources
         if not _node_is_there():
             if not _page_is_there(web):
                 self._complain(

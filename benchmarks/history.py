@@ -68,10 +68,12 @@ def entries(lines: Iterable[str]) -> dict[str, list[Entry]]:
     found: dict[str, list[Entry]] = {}
     for line in lines:
         document = json.loads(line)
+        machine = document["machine"].partition(", load")[0]
+        database = [document["database"]] if "database" in document else []
         about = {
             "date": document["date"],
             "commit": document["commit"][:8],
-            "machine": document["machine"].partition(", load")[0],
+            "machine": ", ".join([machine, *database]),
         }
         for row in document["rows"]:
             found.setdefault(row["what"], []).append(Entry(**row, **about))
@@ -85,7 +87,10 @@ def change(history: Sequence[Entry]) -> float | None:
     if not before:
         return None
     usual = median(before[-REMEMBERED:])
-    return usual / last.value if last.larger_is_better else last.value / usual
+    better, worse = (last.value, usual) if last.larger_is_better else (usual, last.value)
+    if better == 0:
+        return 1.0 if worse == 0 else float("inf")
+    return worse / better
 
 
 def table(found: dict[str, list[Entry]]) -> str:

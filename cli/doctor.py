@@ -241,18 +241,27 @@ def check_object_store(settings: Settings) -> Finding:
     key = f"probe/{os.urandom(8).hex()}"
     etag = bucket.replace(key, b"1", None)
     seconds = time.perf_counter() - began
+
+    def writes(condition: str | None) -> bool:
+        try:
+            bucket.replace(key, os.urandom(8), condition)
+        except ObjectChangedError:
+            return False
+        return True
+
     try:
-        bucket.replace(key, b"2", etag)
-        bucket.replace(key, b"3", etag)
-    except ObjectChangedError:
-        return Finding("object store", "ok", f"writes in {1000 * seconds:.0f} ms")
+        if not writes(etag):
+            fault = "It refuses to replace an object by its ETag, so no job could go on."
+        elif writes(etag):
+            fault = "It ignores If-Match, so two workers could overwrite the same job."
+        elif writes(None):
+            fault = "It ignores If-None-Match, so two workers could claim the same job."
+        else:
+            return Finding("object store", "ok", f"writes in {1000 * seconds:.0f} ms")
     finally:
         bucket.delete([key])
-    return Finding(
-        "object store", "fault",
-        "It ignores If-Match, so two workers could overwrite the same job.",
-        "Choose a store that supports conditional writes.",
-    )  # fmt: skip
+    remedy = "Choose a store that supports conditional writes."
+    return Finding("object store", "fault", fault, remedy)
 
 
 def check_morph() -> Finding:

@@ -22,6 +22,9 @@ from chamfer_morph.worker.supervisor import (
 )
 from morph_engine.child_process import python_command
 
+_DIRECTLY = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+"""Asks this machine, whatever proxy there is for others."""
+
 
 def serve(settings: Settings) -> int:
     """Run everything until SIGTERM or SIGINT.
@@ -61,7 +64,7 @@ def _processes(settings: Settings, listener: socket.socket) -> list[SupervisedPr
 def _answers(url: str) -> bool:
     """Whether the API answers by now."""
     try:
-        with urllib.request.urlopen(f"{url}/livez", timeout=0.5):
+        with _DIRECTLY.open(f"{url}/livez", timeout=0.5):
             return True
     except (OSError, urllib.error.URLError):
         return False

@@ -70,6 +70,8 @@ def open_storage(settings: Settings, process: str) -> Storage:
     from chamfer_morph.worker.object_store.bucket import Bucket
     from chamfer_morph.worker.object_store.shared_storage import SharedStorage
 
+    # of all processes: by what they leave there a probe sees that they live
+    (settings.data_dir / "locks").mkdir(parents=True, exist_ok=True)
     return SharedStorage(
         settings.data_dir / process,
         settings.data_dir / "uploads",

@@ -55,13 +55,21 @@ class SupervisedProcess:
             if time.monotonic() - self._started_at >= STEADY_SECONDS:
                 self._pause = 0.0
             else:
-                longer = max(2 * self._pause, FIRST_PAUSE_SECONDS)
-                self._pause = min(longer, LONGEST_PAUSE_SECONDS)
-            self._start_at = time.monotonic() + self._pause
+                self._wait_longer()
             how = describe_exit(status)
             log(f"{self.name} ended ({how}); restarting it in {self._pause:g} s.")
         if time.monotonic() >= self._start_at:
-            self._start()
+            try:
+                self._start()
+            except (OSError, subprocess.SubprocessError) as error:
+                self._wait_longer()
+                log(f"{self.name} cannot be started ({error}); trying again in {self._pause:g} s.")
+
+    def _wait_longer(self) -> None:
+        """Make the pause before the next start longer than the last one."""
+        longer = max(2 * self._pause, FIRST_PAUSE_SECONDS)
+        self._pause = min(longer, LONGEST_PAUSE_SECONDS)
+        self._start_at = time.monotonic() + self._pause
 
     def terminate(self) -> None:
         """Ask it to end, if it runs."""

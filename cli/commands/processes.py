@@ -71,7 +71,7 @@ def worker(
     else:
         processes = [
             worker_slot(
-                int(gpu) if gpu.isdecimal() else first_slot + place,
+                first_slot + (int(gpu) if gpu.isdecimal() else place),
                 environment | {"CUDA_VISIBLE_DEVICES": gpu},
             )
             for place, gpu in enumerate(chosen)

@@ -500,11 +500,10 @@ REST = Experiment(
         "3 points per cell edge, 1200 steps of AMSGrad as in the paper, with epsilon 1e-8 in place "
         "of 1e-4.",
         "Coincidence (overlap < .01) and starvation are two things. When N particles all sit on M "
-        "points, N - M of them have to share, so that 2 (N - M) / N coincide at the least; pairs "
-        "with N < M show coincidence without that floor. Starvation is where matter lacks: target "
+        "points, at least N - M + 1 of them share a place, if N > M; pairs with N < M show "
+        "coincidence without that floor. Starvation is where matter lacks: target "
         "points that are nobody's nearest, a density quantile near zero, a low IoU. With N < M at "
         "least 1 - N/M of the points are nobody's nearest.",
-        "A share below the floor says that not all particles have arrived on a point.",
     ),
     in_all=False,
 )

@@ -138,10 +138,14 @@ def bounds(table: Table, labels: Sequence[str] | None = None) -> list[str]:
         ]
         if rows:
             beyond.append(f"{words}: {', '.join(rows)}")
-    count = len(table.lines if labels is None else labels)
+    count = len(table.numbers("iou", labels))
     sentences = [f"The worst of {count} rows: {'; '.join(extremes)}."] if extremes else []
     if table.numbers("iou", labels):
-        end = f"There is {'; '.join(beyond)}." if beyond else "No row is beyond any bound."
+        end = (
+            f"There is {'; '.join(beyond)}."
+            if beyond
+            else f"None of these {count} rows is beyond these bounds."
+        )
         sentences.append(end)
     return sentences
 

@@ -31,7 +31,7 @@ METRIC_NAMES = {
     "f1": "F1",
     "iou": "IoU",
     "overlap_01": "overlap < .01",
-    "overlap_floor": "least overlap 2(N-M)/N",
+    "overlap_floor": "least overlap (N-M+1)/N",
     "overlap_h10": "overlap < h/10",
     "many_to_one": "many-to-one",
     "targets_used": "targets used",
@@ -264,12 +264,12 @@ def _with_floor(line: TableRow) -> TableRow:
 
 
 def coincidence_floor(particles: int, points: int) -> float:
-    """Share of N particles that share a place when all sit on M target points: 2 (N - M) / N.
+    """Least share of N particles that share a place when all sit on M target points.
 
-    Where particles outnumber points, as many as exceed them have to join another one each, so that
-    these coincide whatever moved them there; where they do not, none has to. With N > 2 M all do.
+    Where they outnumber the points, it is least if one point has all that are too many and each
+    other point one particle: (N - M + 1) / N. Where they do not, none has to share.
     """
-    return min(1.0, max(0.0, 2 * (particles - points) / particles))
+    return (particles - points + 1) / particles if particles > points else 0.0
 
 
 def _mark_best(lines: list[TableRow], metric: str, group: str) -> None:

@@ -3,7 +3,9 @@
 import csv
 import io
 import re
+from collections import Counter
 from datetime import datetime, timezone
+from itertools import product
 
 import pytest
 from scipy.stats import binom
@@ -166,10 +168,13 @@ def test_the_interval_of_a_median_holds_it_in_19_of_20_draws(count):
 
 
 def test_least_coincidence():
-    """Each particle too many has to join another one; with fewer particles than points none has."""
-    assert coincidence_floor(5, 4) == pytest.approx(2 / 5)
-    assert coincidence_floor(4, 4) == coincidence_floor(3, 4) == 0
-    assert coincidence_floor(9, 4) == 1
+    """The least over all ways to put particles onto points, which are tried one by one."""
+    for particles, points in product(range(1, 7), range(1, 5)):
+        least = min(
+            sum(count for count in Counter(places).values() if count > 1)
+            for places in product(range(points), repeat=particles)
+        )
+        assert coincidence_floor(particles, points) == pytest.approx(least / particles)
     run = REPULSION.rows[0].runs[0]
     made = record(run, overlap_01=0.5).model_copy(update={"particle_count": 5, "target_count": 4})
     cell = tabulate(REPULSION, {run.id: made}).cell("DCO at rest", "overlap_floor")
