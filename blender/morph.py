@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from .service import Json, Service, ServiceError
 
 SECONDS_BETWEEN_LOOKS = 0.5
+SECONDS_BETWEEN_TRIES = 2.0
+PATIENCE_SECONDS = 120.0
+"""How long a service may be away before the morph is given up."""
+
 COMPUTED = 0.85
 """Share of the progress bar at which all frames are computed and the mesh is made of them."""
 
@@ -18,6 +25,8 @@ STAGES = {
     "computing": "Computing the first frame",
 }
 UNFINISHED = {"queued", "running"}
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -113,7 +122,7 @@ class Morph:
 
     def _follow(self, job: str) -> bool:
         """Wait for the job; returns whether there is a result."""
-        while (shown := self._service.job(job))["state"] in UNFINISHED:
+        while (shown := self._patiently(self._service.job, job))["state"] in UNFINISHED:
             self._tell(shown)
             if self._cancelled.wait(SECONDS_BETWEEN_LOOKS):
                 self._service.cancel(job)
@@ -122,6 +131,18 @@ class Morph:
             problem = shown.get("problem") or {"cause": f"The job has {shown['state']}."}
             raise ServiceError(f"{problem['cause']} {problem.get('remedy', '')}".strip())
         return True
+
+    def _patiently(self, ask: Callable[..., T], *arguments: object) -> T:
+        """Ask the service, and again for a while if it does not answer."""
+        deadline = time.monotonic() + PATIENCE_SECONDS
+        while True:
+            try:
+                return ask(*arguments)
+            except ServiceError as error:
+                late = time.monotonic() > deadline
+                if late or not error.passes or self._cancelled.is_set():
+                    raise
+            self._cancelled.wait(SECONDS_BETWEEN_TRIES)
 
     def _tell(self, job: Json) -> None:
         progress = job["progress"]
@@ -136,7 +157,8 @@ class Morph:
     def _fetch(self, job: str) -> None:
         request, service = self._request, self._service
         self.stage, self.progress = "Making one mesh that moves", COMPUTED
-        export = service.begin_export(
+        export = self._patiently(
+            service.begin_export,
             job,
             {
                 "format": "glb",
@@ -150,9 +172,9 @@ class Morph:
             self.progress = COMPUTED + (1 - COMPUTED) * export["progress"]
             if self._cancelled.wait(SECONDS_BETWEEN_LOOKS):
                 return
-            export = service.export(export)
+            export = self._patiently(service.export, export)
         if export["state"] != "ready":
             problem = export["problem"] or {"cause": "The mesh could not be made."}
             raise ServiceError(f"{problem['cause']} {problem.get('remedy', '')}".strip())
-        service.download(export["links"]["file"], request.result)
+        self._patiently(service.download, export["links"]["file"], request.result)
         self.progress = 1.0

@@ -81,9 +81,13 @@ class MORPH_OT_morph(bpy.types.Operator):
         settings, preferences = context.scene.chamfer_morph, _preferences(context)
         self._folder = tempfile.TemporaryDirectory(prefix="chamfer_morph_")
         folder = Path(self._folder.name)
+        source, target = settings.source, settings.target
+        # what the window changes while the morph is on its way is of the next one
+        self._name = f"{source.name} to {target.name}"
+        self._hidden = [source.name, target.name] if settings.hide else []
         request = Request(
-            source=folder / f"{bpy.path.clean_name(settings.source.name)}.glb",
-            target=folder / f"{bpy.path.clean_name(settings.target.name)}.glb",
+            source=folder / "source" / f"{bpy.path.clean_name(source.name)}.glb",
+            target=folder / "target" / f"{bpy.path.clean_name(target.name)}.glb",
             result=folder / "result" / "morph.glb",
             preset=settings.preset,
             detail=settings.detail,
@@ -92,9 +96,10 @@ class MORPH_OT_morph(bpy.types.Operator):
             fps=context.scene.render.fps / context.scene.render.fps_base,
             snap=settings.snap,
         )
-        request.result.parent.mkdir()
-        scene.write_mesh(settings.source, request.source)
-        scene.write_mesh(settings.target, request.target)
+        for path in (request.source, request.target, request.result):
+            path.parent.mkdir()
+        scene.write_mesh(source, request.source)
+        scene.write_mesh(target, request.target)
         self._request = request
         running = Morph(Service(preferences.address, preferences.key), request)
         running.start()
@@ -110,14 +115,11 @@ class MORPH_OT_morph(bpy.types.Operator):
             if morph.error:
                 self.report({"ERROR"}, morph.error)
                 return {"CANCELLED"}
-            settings = context.scene.chamfer_morph
-            source, target = settings.source, settings.target
-            name = f"{source.name} to {target.name}"
-            scene.let_play(scene.read_animation(self._request.result, name))
-            if settings.hide:
-                source.hide_set(True)
-                target.hide_set(True)
-        self.report({"INFO"}, f"{name} is in the scene")
+            scene.let_play(scene.read_animation(self._request.result, self._name))
+            for name in self._hidden:
+                if original := context.view_layer.objects.get(name):
+                    original.hide_set(True)
+        self.report({"INFO"}, f"{self._name} is in the scene")
         return {"FINISHED"}
 
 

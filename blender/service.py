@@ -19,7 +19,21 @@ Json = dict[str, Any]
 
 
 class ServiceError(Exception):
-    """The service refused a request, or is not there; the message says what to do about it."""
+    """The service refused a request, or is not there; the message says what to do about it.
+
+    Args:
+        message: A sentence or two.
+        status: HTTP status; 0 where there was no answer.
+    """
+
+    def __init__(self, message: str, status: int = 0) -> None:
+        super().__init__(message)
+        self.status: int = status
+
+    @property
+    def passes(self) -> bool:
+        """Whether it may soon be over, as when the service starts again or has much to do."""
+        return self.status in (0, 429) or self.status >= 500
 
 
 class Service:
@@ -91,7 +105,7 @@ class Service:
             with urlopen(request, timeout=TIMEOUT_SECONDS) as answer:
                 yield answer
         except HTTPError as error:
-            raise ServiceError(_explained(error)) from error
+            raise ServiceError(_explained(error), error.code) from error
         except (OSError, HTTPException, ValueError) as error:
             raise ServiceError(
                 f"No morph service answers at {self.address}. Start one with `morph serve`, or "

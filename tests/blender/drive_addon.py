@@ -71,7 +71,12 @@ def pressed(addon):
         "again meanwhile": operators.MORPH_OT_morph.poll(bpy.context),
         "mouse": list(told(held[-1], "MOUSEMOVE")),
     }
-    ticked_to_the_end(held[-1])
+    settings = bpy.context.scene.chamfer_morph
+    source, settings.source = settings.source, None  # as when it is deleted
+    settings.hide = False
+    source.hide_set(False)
+    found["chosen meanwhile"] = ticked_to_the_end(held[-1])[-1], source.hide_get()
+    settings.source = source
     bpy.ops.chamfer_morph.button()
     found["stopped"] = [list(bpy.ops.chamfer_morph.stop()), ticked_to_the_end(held[-1])]
     found["stop again"] = bpy.ops.chamfer_morph.stop.poll()

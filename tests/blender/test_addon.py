@@ -96,6 +96,11 @@ def test_the_button_leaves_the_window_usable(found):
     assert found["mouse"] == ["PASS_THROUGH"]
 
 
+def test_it_ends_as_it_began(found):
+    """Whatever is chosen meanwhile is of the next morph: the source is hidden, as it was to be."""
+    assert found["chosen meanwhile"] == [["FINISHED"], True]
+
+
 def test_it_can_be_stopped(found):
     """By its own button, which waits for a morph again afterwards."""
     ended, ticks = found["stopped"]

@@ -7,6 +7,7 @@ import io
 import re
 import time
 import zipfile
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import h5py
@@ -682,6 +683,96 @@ def test_pictures_and_films_are_saved(opened, tmp_path):
     assert film.suffix == ".webm"
     assert film.read_bytes().startswith(b"\x1aE\xdf\xa3")
     expect(opened.get_by_role("button", name="Video of the frames, WebM")).to_be_enabled()
+
+
+AS_IN_FIREFOX = """
+const { requestFrame } = CanvasCaptureMediaStreamTrack.prototype;
+delete CanvasCaptureMediaStreamTrack.prototype.requestFrame;
+MediaStream.prototype.requestFrame = function () { requestFrame.call(this.getVideoTracks()[0]); };
+"""
+"""There a stream has what elsewhere its track has."""
+
+NOTES = """() => {
+  const note = document.querySelector(".scene-note");
+  window.notes = [];
+  const options = { childList: true, characterData: true, subtree: true };
+  new MutationObserver(() => window.notes.push(note.textContent)).observe(note, options);
+}"""
+"""Collects what is said below the view."""
+
+
+@pytest.mark.parametrize("script", ["", AS_IN_FIREFOX], ids=["chromium", "firefox"])
+def test_a_film_shows_the_surface_that_is_seen(page, done, tmp_path, script):
+    """From its first picture on, though only one surface is here when it is asked for."""
+    page.add_init_script(script)
+    page.goto(f"/jobs/{done}?quality=sketch&details=files")
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
+    page.evaluate(NOTES)
+    film = saved(page, "Film of the frames, WebM", tmp_path)
+    assert film.read_bytes().startswith(b"\x1aE\xdf\xa3")
+    assert not [note for note in page.evaluate("window.notes") if "Particles" in note]
+
+
+def test_a_film_that_cannot_be_recorded_is_told_of(opened):
+    """And the button is there to try it again."""
+    refuse = "MediaRecorder.prototype.start = () => { throw new Error('no encoder'); }"
+    opened.evaluate(f"() => {{ {refuse}; }}")
+    details(opened, "Files")
+    opened.get_by_role("button", name="Turntable, WebM").click()
+    expect(opened.get_by_role("alert")).to_contain_text("does not record the film: no encoder")
+    expect(opened.get_by_role("button", name="Turntable, WebM")).to_be_enabled()
+
+
+def test_a_frame_that_cannot_be_had_is_told_of(page, done):
+    """Why, and nothing more once it has come."""
+    frame = re.compile("/frames/1\\?")
+    problem = {"title": "Broken", "detail": "The frame is broken.", "status": 500}
+    page.route(frame, lambda route: route.fulfill(status=500, json=problem))
+    page.goto(f"/jobs/{done}?shape=points&quality=sketch")
+    expect_frame(page, 1)
+    page.get_by_role("button", name="One frame on").click()
+    expect(page.locator(".scene-note")).to_contain_text("not available: The frame is broken.")
+    page.unroute(frame)
+    expect_frame(page, 2)
+    expect(page.locator(".scene-note")).to_be_hidden()
+
+
+def test_an_export_outlives_a_service_that_is_away(opened):
+    """It is asked for again until there is an answer."""
+    running = {"id": "late", "state": "running", "progress": 0.5}
+    ready = {"id": "late", "state": "ready", "file_name": "late.glb", "size": 1}
+    answers = [{"status": 503}, {"abort": True}, {"json": ready}]
+
+    def answer(route):
+        found = answers.pop(0)
+        route.abort() if "abort" in found else route.fulfill(**found)
+
+    opened.route("**/exports", lambda route: route.fulfill(status=202, json=running))
+    opened.route("**/exports/late", answer)
+    details(opened, "Files")
+    opened.get_by_role("button", name="Export").click()
+    expect(opened.get_by_role("button", name="Save late.glb, 1 B")).to_be_visible()
+
+
+def test_times_of_another_day_have_the_day(page, done):
+    """A job may take a night."""
+    page.clock.set_fixed_time(datetime.now() + timedelta(days=2))
+    page.goto(f"/jobs/{done}?details=overview")
+    times = page.locator(".history time")
+    expect(times.first).to_contain_text(re.compile(r"20\d\d.*\d:\d\d:\d\d"))
+
+
+def test_a_view_whose_code_is_gone_says_so(browser, service, done):
+    """As where the service was upgraded while the page was open: it asks to be loaded again."""
+    context = browser.new_context(base_url=service.url)
+    page = context.new_page()
+    page.route(re.compile("/assets/viewer-.*js"), lambda route: route.fulfill(status=404))
+    page.goto(f"/jobs/{done}")
+    expect(page.locator(".scene-note")).to_contain_text("A part of the page cannot be loaded")
+    page.unroute_all()
+    page.get_by_role("button", name="Load again").click()
+    expect_frame(page, 1)
+    context.close()
 
 
 def test_downloads_and_exports_can_be_read_back(opened, tmp_path, done, service):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import datetime, timedelta
 
 import pytest
 from playwright.sync_api import expect
@@ -159,6 +160,19 @@ def test_a_lost_service_is_told_and_found_again(new_service, new_page):
     expect(page.get_by_role("alert")).to_have_count(0)
 
 
+def test_an_answer_that_breaks_off_ends_no_watch(page, service):
+    """The list is asked for again when the body of a refusal does not come."""
+    job = service.submit(name="after the fault")
+    page.add_init_script("Response.prototype.text = () => Promise.reject(new TypeError('cut'));")
+    listed = re.compile(r"/v1/jobs\?")
+    page.route(listed, lambda route: route.fulfill(status=503))
+    page.goto("/")
+    expect(page.get_by_role("alert")).to_contain_text("The service does not answer.")
+    page.unroute(listed)
+    expect(row(page, "after the fault")).to_be_visible()
+    service.wait_for(job, "succeeded")
+
+
 def test_keys_are_asked_for_and_kept_for_the_tab(new_service, new_page):
     """With keys, the page asks once, tells that a wrong one is wrong, and survives a reload."""
     guarded = new_service(workers=0)
@@ -211,9 +225,13 @@ RECORD = """window.Notification = class extends Notification {
 
 
 def test_a_notification_when_a_job_ends(service, new_page):
-    """Only once it was asked for, also after a reload; a job that was over before is no news."""
+    """Only once it was asked for, also after a reload; a job that was over before is no news.
+
+    The clock of the page is none of the service's.
+    """
     service.wait_for(service.submit(name="over before"), "succeeded")
     page = new_page(permissions=["notifications"])
+    page.clock.set_fixed_time(datetime.now() + timedelta(hours=1))
     page.add_init_script(RECORD)
     page.goto("/")
     bell = page.get_by_role("button", name="Notify me when a job ends")
@@ -221,12 +239,23 @@ def test_a_notification_when_a_job_ends(service, new_page):
     service.wait_for(service.submit(name="unasked"), "succeeded")
     bell.click()
     expect(bell).to_have_attribute("aria-pressed", "true")
-    page.goto("/new")
+    with page.expect_response(re.compile(r"/v1/jobs\?")):
+        page.goto("/new")
     expect(bell).to_have_attribute("aria-pressed", "true")
     service.submit(name="awaited")
     expect(page.locator("html")).to_have_attribute("data-shown", "awaited: Succeeded.")
     bell.click()
     expect(bell).to_have_attribute("aria-pressed", "false")
+
+
+def test_no_notifications_are_offered_where_a_page_has_none(new_page):
+    """In Chrome on Android only service workers may show any."""
+    page = new_page(
+        user_agent="Mozilla/5.0 (Linux; Android 14) Chrome/140.0.0.0 Mobile Safari/537.36"
+    )
+    page.goto("/")
+    expect(page.get_by_role("button", name="Dark colours")).to_be_visible()
+    expect(page.get_by_role("button", name="Notify me when a job ends")).to_be_hidden()
 
 
 def test_notifications_that_are_blocked(service, new_page):

@@ -478,6 +478,17 @@ def test_a_value_out_of_range_is_told_beside_its_field(page):
     expect(page).to_have_url(re.compile("frames%22%3A7"))
 
 
+def test_half_a_number_is_told_where_none_is_needed(page):
+    """It is not taken for an empty field."""
+    page.goto("/new")
+    research(page)
+    page.get_by_text("All settings").click()
+    tension = page.locator("[id='set-tension']")
+    tension.press_sequentially("1e")
+    tension.blur()
+    expect(page.locator("[id='set-tension-fault']")).to_contain_text("Give a number")
+
+
 def test_a_morph_lasts_as_many_seconds_as_asked(page):
     """At twelve frames a second, all legs together; what cannot be is told and not sent."""
     page.goto("/new?source=shape:sphere&target=shape:sphere&via=shape:torus")
@@ -573,6 +584,36 @@ def test_a_morph_goes_through_several_shapes(service, mesh_files, page):
         page.get_by_label("Target", exact=True).select_option("none")
     page.goto(f"/new?like={job['id']}")
     expect(card(page, "Through (2)")).to_contain_text("box.stl:")
+
+
+def test_the_shape_between_that_is_removed_goes(page):
+    """Not the last one: what is not chosen yet goes with it, and the morph can be sent."""
+    page.goto("/new")
+    add = page.get_by_role("button", name="Add a shape between")
+    add.click()
+    add.click()
+    card(page, "Through (2)").get_by_role("radio", name="heart").check()
+    card(page, "Through (1)").get_by_role("radio", name="Mesh file").check()
+    page.get_by_role("button", name="Remove shape number 2").click()
+    expect(add).to_be_focused()
+    expect(card(page, "Through (2)")).to_have_count(0)
+    expect(card(page, "Through (1)").get_by_role("radio", name="heart")).to_be_checked()
+    page.route("**/v1/jobs", lambda route: route.abort())
+    with page.expect_request("**/v1/jobs") as sent:
+        page.get_by_role("button", name="Morph", exact=True).click()
+    assert sent.value.post_data_json["via"] == [{"shape": "heart"}]
+
+
+def test_an_address_that_stays_keeps_nobody_from_going_on(page):
+    """Safari takes few changes of the address in a while."""
+    refuse = "throw new DOMException('too many', 'SecurityError')"
+    page.add_init_script(f"history.replaceState = () => {{ {refuse}; }};")
+    page.goto("/new")
+    card(page, "To").get_by_role("radio", name="torus").check()
+    page.route("**/v1/jobs", lambda route: route.abort())
+    with page.expect_request("**/v1/jobs") as sent:
+        page.get_by_role("button", name="Morph", exact=True).click()
+    assert sent.value.post_data_json["target"] == {"shape": "torus"}
 
 
 def test_several_methods_make_a_sweep_once(service, page):

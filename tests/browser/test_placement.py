@@ -221,6 +221,23 @@ def test_what_is_turned_unasked_is_left_with_one_click(form):
     expect(card(form, "To").get_by_label("Upward axis")).to_have_value("y")
 
 
+def test_removing_landmarks_keeps_the_focus(page):
+    """On what is left, so that the keyboard goes on from there."""
+    page.goto("/new")
+    landmarks = page.get_by_role("region", name="Landmarks")
+    typed = landmarks.get_by_role("button", name="Add by numbers")
+    for number in (1, 2):
+        typed.click()
+        expect(landmarks.get_by_role("listitem")).to_have_count(number)
+    landmarks.get_by_role("button", name="Remove landmark 2").press("Enter")
+    expect(landmarks.get_by_role("button", name="Remove landmark 1")).to_be_focused()
+    landmarks.get_by_role("button", name="Remove landmark 1").press("Enter")
+    expect(typed).to_be_focused()
+    typed.click()
+    landmarks.get_by_role("button", name="Undo").press("Enter")
+    expect(landmarks.get_by_role("button", name="Pick in the pictures")).to_be_focused()
+
+
 def test_landmarks_are_picked_named_and_kept(service, form, serious_faults):
     """A click on each shape makes a pair, in the file's own coordinates, which the job heeds.
 

@@ -49,6 +49,19 @@ def test_a_link_is_made_copied_and_revoked(service, finished, new_page):
     assert service.call("GET", f"/v1/jobs/{finished}/share-links").json() == []
 
 
+def test_a_double_click_makes_one_link(finished, page):
+    """While the first one is on its way, another click makes none."""
+    held = []
+    page.goto(f"/jobs/{finished}?details=overview")
+    expect(page.get_by_role("button", name="Make a link")).to_be_visible()
+    page.route("**/share-links", lambda route: held.append(route))
+    with page.expect_request("**/share-links"):
+        page.get_by_role("button", name="Make a link").dblclick()
+    held.pop().fulfill(status=201, json={"id": "a", "created_at": "2026-01-01", "path": "/shared"})
+    expect(page.get_by_label("Address of the link")).to_have_count(1)
+    assert held == []
+
+
 def test_without_a_key_a_link_shows_its_job_alone(new_service, new_page):
     """No dialog asks for a key; nothing can be changed; a reload and the address keep the link."""
     service = new_service()

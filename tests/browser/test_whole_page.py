@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from playwright.sync_api import expect
 
@@ -81,6 +83,20 @@ def test_an_unknown_address_says_so(page):
     expect(page.get_by_role("heading", name="There is nothing here")).to_be_visible()
     page.goto("/jobs/00000000000000000000000000")
     expect(page.get_by_role("alert")).to_contain_text("There is no job")
+
+
+def test_a_view_that_cannot_be_loaded_says_so(browser, service):
+    """As where the service was upgraded while the page was open: it asks to be loaded again."""
+    context = browser.new_context(base_url=service.url)
+    page = context.new_page()
+    page.route(re.compile("/assets/gallery-.*js"), lambda route: route.fulfill(status=404))
+    page.goto("/")
+    page.get_by_role("link", name="Gallery").click()
+    expect(page.get_by_role("alert")).to_contain_text("A part of the page cannot be loaded")
+    page.unroute_all()
+    page.get_by_role("button", name="Load again").click()
+    expect(page.get_by_role("heading", name="Gallery")).to_be_visible()
+    context.close()
 
 
 def test_the_policy_forbids_foreign_and_inline_code(service):

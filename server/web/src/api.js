@@ -16,6 +16,11 @@ export class Problem extends Error {
   }
 }
 
+/** Whether what went wrong may soon be over, as when the service starts again or has much to do. */
+export function passes({ name, status }) {
+  return name === "Problem" && (!status || status === 429 || status >= 500);
+}
+
 /** JSON at an address below /v1; a quiet request asks for no key where one is wanted. */
 export async function get(path, { query, signal, quiet } = {}) {
   return received(await request("GET", path, { query, signal, quiet }), "json");
@@ -206,7 +211,7 @@ async function request(method, path, { query, signal, headers = {}, body, quiet 
     throw unreachable();
   }
   if (response.ok) return response;
-  const found = new Problem({ status: response.status, ...parsed(await response.text()) });
+  const found = new Problem({ status: response.status, ...parsed(await received(response, "text")) });
   if (response.status !== 401 || quiet) throw found;
   await askForKey(found);
   return request(method, path, { query, signal, headers, body });

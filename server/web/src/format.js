@@ -70,14 +70,14 @@ export function lives(name) {
   return name === "queued" || name === "running";
 }
 
-/** A point in time, short if it is today. */
-export function when(text) {
+/** A point in time, short if it is today; `timeStyle` "medium" has seconds. */
+export function when(text, timeStyle = "short") {
   if (!text) return "–";
   const date = new Date(text);
   const today = date.toDateString() === new Date().toDateString();
   return date.toLocaleString(
     undefined,
-    today ? { timeStyle: "short" } : { dateStyle: "medium", timeStyle: "short" },
+    today ? { timeStyle } : { dateStyle: "medium", timeStyle },
   );
 }
 

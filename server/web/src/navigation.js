@@ -26,7 +26,11 @@ export function replaceQuery(query) {
   for (const [name, value] of Object.entries(query)) {
     for (const one of [value].flat()) if (one) search.append(name, one);
   }
-  history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : "") + location.hash);
+  try {
+    history.replaceState(null, "", location.pathname + (search.size ? `?${search}` : "") + location.hash);
+  } catch (error) {
+    if (error.name !== "SecurityError") throw error; // Safari takes a hundred in a while; a later one goes there
+  }
   shown = address();
 }
 

@@ -10,11 +10,13 @@ const PLACE = "morph-notify";
 const PAUSE = 10_000; // [ms] between looks, also while nobody looks at the page
 const LISTED = 100; // the newest jobs, among which those are found that may end
 
+const WORKERS_ALONE = /Android.*Chrome/; // browsers that have notifications of service workers alone
+
 let watching = null;
 
 /** Whether this browser has notifications, which it has for safe addresses alone. */
 export function available() {
-  return "Notification" in window && isSecureContext;
+  return "Notification" in window && isSecureContext && !WORKERS_ALONE.test(navigator.userAgent);
 }
 
 /** Whether they are wanted and allowed. */
@@ -41,11 +43,11 @@ export async function switchNotifying() {
 }
 
 async function watch(signal) {
-  const begun = new Date();
   const unfinished = new Set();
+  let mark = null;
   while (!signal.aborted) {
     try {
-      await look(begun, unfinished, signal);
+      mark = await look(mark, unfinished, signal);
     } catch (error) {
       if (signal.aborted) return;
       if (error.name !== "Problem") throw error; // without an answer, it asks again later
@@ -54,15 +56,22 @@ async function watch(signal) {
   }
 }
 
-/** See which jobs have ended since the last look. */
-async function look(begun, unfinished, signal) {
+/**
+ * See which jobs have ended since the last look.
+ *
+ * @param {Date | null} mark null at the first look.
+ * @returns {Promise<Date>} the mark from then on: when the newest job of the first look was made, by the service's
+ *   clock. Whatever job is newer is news.
+ */
+async function look(mark, unfinished, signal) {
   const { owner } = await get("/queue", { signal, quiet: true });
   const { items } = await get("/jobs", { query: { owner, limit: LISTED }, signal, quiet: true });
+  mark ??= new Date(items[0]?.created_at ?? 0);
   const listed = new Map(items.map((job) => [job.id, job]));
   for (const job of items) {
     const seen = unfinished.has(job.id);
     if (lives(job.state)) unfinished.add(job.id);
-    else if (seen || new Date(job.created_at) > begun) ended(job, unfinished);
+    else if (seen || new Date(job.created_at) > mark) ended(job, unfinished);
   }
   for (const id of [...unfinished].filter((one) => !listed.has(one))) {
     const job = await get(`/jobs/${id}`, { signal, quiet: true }).catch((error) => {
@@ -72,6 +81,7 @@ async function look(begun, unfinished, signal) {
     });
     if (job && !lives(job.state)) ended(job, unfinished);
   }
+  return mark;
 }
 
 const told = new Set();
@@ -81,10 +91,13 @@ function ended(job, unfinished) {
   const end = `${job.id} ${job.finished_at}`;
   if (told.has(end) || job.state === "cancelled") return; // who cancels knows
   told.add(end);
-  const note = new Notification(jobName(job), {
-    body: [stateWord(job.state), job.problem?.cause].filter(Boolean).join(": "),
-    tag: end, // one for all tabs
-  });
+  const body = [stateWord(job.state), job.problem?.cause].filter(Boolean).join(": ");
+  let note;
+  try {
+    note = new Notification(jobName(job), { body, tag: end }); // one for all tabs
+  } catch (error) {
+    return console.warn("no notification", error); // where only service workers may show any
+  }
   note.addEventListener("click", () => {
     window.focus();
     note.close();

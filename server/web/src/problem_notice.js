@@ -11,6 +11,7 @@ export function problemNotice(error) {
     { class: "notice bad", role: "alert" },
     h("p", null, inTitles(error.message)),
     error.remedy && h("p", { class: "quiet" }, inTitles(error.remedy)),
+    error.loadAgain && h("p", null, h("button", { type: "button", class: "compact", on: { click: () => location.reload() } }, "Load again")),
   );
 }
 

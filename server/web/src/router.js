@@ -4,6 +4,7 @@ import { Problem } from "./api.js";
 import { fill, h } from "./dom.js";
 import { askAgain } from "./key.js";
 import { go, onVisit, setTitle } from "./navigation.js";
+import { part } from "./part.js";
 import { problemNotice } from "./problem_notice.js";
 
 // on its way together with the view that will ask for it
@@ -49,7 +50,7 @@ async function show() {
   try {
     const [params, load] = find(location.pathname);
     if (!load) return notFound();
-    const view = await load();
+    const view = await part(load);
     if (signal.aborted) return;
     fill(root);
     if (moved) root.focus({ preventScroll: true });

@@ -2,23 +2,27 @@
 import { binary, pause } from "../api.js";
 
 const AT_ONCE = 4;
-const BUDGET = 220e6; // bytes held; beyond it the frames farthest from the one shown go
+const BUDGET = 220e6; // bytes that all panels of a view hold; beyond it the frames farthest from the one shown go
 const RETRY_MILLISECONDS = 1000;
+const SLOWEST_MILLISECONDS = 30_000;
 
 /** Frames 0 to `known` - 1 of a job; the newest is fetched first, then its neighbours. */
 export class Frames {
   #held = new Map();
   #running = new Set();
   #waiting = new Map();
+  #faults = new Map(); // of frames that cannot be had: what is wrong, and how long the next try waits
   #buffer = new Float32Array(0);
 
   /**
    * @param {string} jobId
-   * @param {{signal: AbortSignal, onArrival?: (index: number) => void}} options
+   * @param {{signal: AbortSignal, share?: number, onArrival?: (index: number) => void}} options `share` is
+   *   that of the budget.
    */
-  constructor(jobId, { signal, onArrival = () => {} }) {
+  constructor(jobId, { signal, share = 1, onArrival = () => {} }) {
     this.jobId = jobId;
     this.signal = signal;
+    this.budget = share * BUDGET;
     this.onArrival = onArrival;
     this.known = 0;
     this.near = -1; // where the user looks, or is about to; before that, the newest
@@ -41,6 +45,11 @@ export class Frames {
     return this.#held.has(index);
   }
 
+  /** @returns {string} why a frame has not come; empty as long as nothing is wrong. */
+  trouble(index) {
+    return this.#faults.get(index)?.message ?? "";
+  }
+
   /** Tell that there are so many frames now. */
   grow(count) {
     if (count <= this.known) return;
@@ -54,6 +63,7 @@ export class Frames {
     this.generation += 1;
     this.#held.clear();
     this.#running.clear();
+    this.#faults.clear();
     this.known = 0;
     this.near = -1;
   }
@@ -128,7 +138,7 @@ export class Frames {
   #next() {
     const wanted = (index) =>
       index >= 0 && index < this.known && !this.#held.has(index) && !this.#running.has(index);
-    const room = this.#held.size ? BUDGET / (this.bytes / this.#held.size) : Infinity;
+    const room = this.#held.size ? this.budget / (this.bytes / this.#held.size) : Infinity;
     const reach = Math.min(this.known, Math.max(1, Math.floor(room / 2)));
     for (let distance = 0; distance < reach; distance++) {
       if (wanted(this.near + distance)) return this.near + distance;
@@ -149,12 +159,13 @@ export class Frames {
         offset: Number(headers.get("Morph-Offset")),
         scale: Number(headers.get("Morph-Scale")),
       });
+      this.#faults.delete(index);
       this.#evict();
       this.onArrival(index);
       for (const resolve of this.#waiting.get(index) ?? []) resolve();
       this.#waiting.delete(index);
-    } catch {
-      await pause(RETRY_MILLISECONDS, this.signal); // the service may be starting again
+    } catch (error) {
+      if (generation === this.generation) await this.#rest(index, error);
     } finally {
       if (generation === this.generation) {
         this.#running.delete(index);
@@ -163,8 +174,16 @@ export class Frames {
     }
   }
 
+  /** Wait before a frame is asked for again: the longer, the more often it has been refused. */
+  #rest(index, { message, status }) {
+    const refused = status && status !== 429; // else the service may be starting again
+    const wait = refused ? (this.#faults.get(index)?.next ?? RETRY_MILLISECONDS) : RETRY_MILLISECONDS;
+    this.#faults.set(index, { message, next: Math.min(2 * wait, SLOWEST_MILLISECONDS) });
+    return pause(wait, this.signal);
+  }
+
   #evict() {
-    while (this.bytes > BUDGET && this.#held.size > 1) {
+    while (this.bytes > this.budget && this.#held.size > 1) {
       const farthest = [...this.#held.keys()].reduce((a, b) =>
         Math.abs(a - this.near) > Math.abs(b - this.near) ? a : b,
       );

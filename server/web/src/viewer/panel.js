@@ -2,6 +2,8 @@
 import { colours, particles, pause, points } from "../api.js";
 import { fill, h } from "../dom.js";
 import { number, percent } from "../format.js";
+import { part } from "../part.js";
+import { problemNotice } from "../problem_notice.js";
 import { COLOURS, decisive, range, values } from "./colors.js";
 import { Frames } from "./frames.js";
 import { followed } from "./landmarks.js";
@@ -54,8 +56,12 @@ export class Panel {
    * @param {() => void} [options.onOwn] hears that the shapes have colours of their own.
    * @param {() => void} [options.onArrival] hears that a frame has come.
    * @param {() => Promise<object | null>} [options.sharedRange] the range of several jobs together.
+   * @param {number} [options.share] of the memory for frames and surfaces, where several panels share it.
    */
-  constructor(jobId, { signal, display, onView, onQuality, onOwn = () => {}, onArrival = () => {}, sharedRange = null }) {
+  constructor(
+    jobId,
+    { signal, display, onView, onQuality, onOwn = () => {}, onArrival = () => {}, sharedRange = null, share = 1 },
+  ) {
     this.jobId = jobId;
     this.signal = signal;
     this.display = { ...display };
@@ -65,9 +71,10 @@ export class Panel {
     this.total = 0;
     this.legs = 1;
     this.index = -1;
-    this.surfaces = new Surfaces(jobId, signal);
+    this.surfaces = new Surfaces(jobId, signal, share);
     this.frames = new Frames(jobId, {
       signal,
+      share,
       onArrival: (index) => {
         if (this.#changesColours(index)) this.#recolour();
         onArrival(index);
@@ -82,7 +89,7 @@ export class Panel {
     });
     this.help = h("p", { class: "visually-hidden", id: `help-${jobId}` }, HELP);
     this.scene.setAttribute("aria-describedby", this.help.id);
-    this.note = h("p", { class: "scene-note small", hidden: true });
+    this.note = h("div", { class: "scene-note small", hidden: true });
     this.surfaceWords = h("p", { class: "quiet small surface-words" }); // how good it is, for where there is room
     this.legend = new Legend();
     this.caption = h("figcaption", { class: "small quiet" }, "No frame is finished yet.");
@@ -169,13 +176,33 @@ export class Panel {
     this.#asked.abort();
     this.#asked = new AbortController();
     const viewer = await this.#ready;
-    if (!(await this.frames.wait(index)) || turn !== this.#turn) return;
+    if (!(await this.#arrival(index, turn)) || turn !== this.#turn) return;
     this.index = index;
     viewer?.setFrame(index, this.frames.positions(index));
     this.describe();
     this.#showLandmarks();
     if (viewer && this.#targetShown !== this.#targetWanted()) this.#showTarget(viewer);
     if (viewer) await this.#paint(viewer, turn);
+  }
+
+  /** Wait for a frame, and say why it takes a while. */
+  async #arrival(index, turn) {
+    const tell = () => {
+      if (turn !== this.#turn) return clearInterval(timer);
+      const trouble = this.frames.trouble(index);
+      this.#say(trouble ? `The frame is not available: ${trouble} It is asked for again.` : "Getting the frame…");
+    };
+    const timer = this.#viewer && setInterval(tell, PATIENCE_MILLISECONDS);
+    try {
+      return await this.frames.wait(index);
+    } finally {
+      clearInterval(timer);
+    }
+  }
+
+  /** Wait until motion shows what is seen at rest: until the surfaces of all frames are here, if they are wanted. */
+  async ready() {
+    if (this.display.shape === "surface" && !this.#waits && (await this.#ready)) await this.#fillSurfaces();
   }
 
   /** Whether the job still computes; it is spared the work that surfaces are, until somebody asks for one. */
@@ -324,14 +351,15 @@ export class Panel {
 
   async #open() {
     try {
-      const { Viewer } = await import("./viewer.js");
+      const { Viewer } = await part(() => import("./viewer.js"));
       if (this.signal.aborted) return null;
       const reducedMotion = matchMedia(LESS_MOTION).matches;
       const { onView, onQuality } = this;
       this.#viewer = new Viewer(this.scene, { reducedMotion, onView, onQuality });
     } catch (error) {
       console.warn("no 3D view", error);
-      this.#say("This browser does not support 3D graphics; numbers and downloads are below.");
+      const missing = "This browser does not support 3D graphics; numbers and downloads are below.";
+      this.#say(error.name === "Problem" ? problemNotice(error) : missing);
       return null;
     }
     const { axis, offset, up, look, quality, focus } = this.display;
@@ -496,18 +524,24 @@ export class Panel {
   #heldSurface() {
     const { surfaces, index, frames } = this;
     if (this.#playing && surfaces.count < frames.known) {
-      if (!this.#waits) surfaces.fill(frames.known, (at, mesh) => this.#travel(at, mesh));
+      if (!this.#waits) this.#fillSurfaces();
       return null;
     }
     return surfaces.held(index) ?? null;
+  }
+
+  #fillSurfaces() {
+    return this.surfaces.fill(this.frames.known, (at, mesh) => this.#travel(at, mesh));
   }
 
   /** Why there are particles where a surface is wanted. */
   #absence() {
     if (this.display.shape !== "surface") return "";
     if (this.#waits) return "Particles only while the job is running; S shows the surface.";
+    if (!this.#playing) return "";
     const { surfaces, frames } = this;
-    return this.#playing ? `Particles until all surfaces are loaded: ${surfaces.count} of ${frames.known}.` : "";
+    if (surfaces.full) return "Particles in motion: the surfaces of all frames need too much memory. Pause to see the surface.";
+    return `Particles until all surfaces are loaded: ${surfaces.count} of ${frames.known}.`;
   }
 
   /** The particle nearest to each vertex of the surface of the frame shown. */

@@ -19,6 +19,7 @@ export function canRecord() {
 export async function record(canvas, draw, { seconds, framesPerSecond = 30, signal }) {
   const stream = canvas.captureStream(0);
   const [track] = stream.getVideoTracks();
+  const source = track.requestFrame ? track : stream; // which it is in Firefox
   const recorder = new MediaRecorder(stream, {
     mimeType: type(),
     videoBitsPerSecond: BITS_PER_SECOND,
@@ -29,15 +30,18 @@ export async function record(canvas, draw, { seconds, framesPerSecond = 30, sign
   recorder.start();
   const count = Math.max(2, Math.round(seconds * framesPerSecond));
   const begun = performance.now();
-  for (let i = 0; i < count && !signal?.aborted; i++) {
-    await draw(i / (count - 1));
-    track.requestFrame();
-    const due = begun + ((i + 1) * 1000) / framesPerSecond;
-    await new Promise((resolve) => setTimeout(resolve, Math.max(0, due - performance.now())));
+  try {
+    for (let i = 0; i < count && !signal?.aborted; i++) {
+      await draw(i / (count - 1));
+      source.requestFrame();
+      const due = begun + ((i + 1) * 1000) / framesPerSecond;
+      await new Promise((resolve) => setTimeout(resolve, Math.max(0, due - performance.now())));
+    }
+  } finally {
+    recorder.stop();
+    await stopped;
+    track.stop();
   }
-  recorder.stop();
-  await stopped;
-  track.stop();
   return new Blob(parts, { type: "video/webm" });
 }
 

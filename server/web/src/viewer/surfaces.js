@@ -1,14 +1,17 @@
 /** The surfaces of a job's frames, which the service computes when it is asked; each is asked for once. */
-const BUDGET = 300e6; // bytes held; beyond it the oldest go
+import { part } from "../part.js";
+
+const BUDGET = 300e6; // bytes that all panels of a view hold; beyond it the oldest go
 
 export class Surfaces {
   #held = new Map();
   #bytes = 0;
   #filling = null;
 
-  /** @param {string} jobId @param {AbortSignal} signal */
-  constructor(jobId, signal) {
-    Object.assign(this, { jobId, signal });
+  /** @param {string} jobId @param {AbortSignal} signal @param {number} [share] of the budget. */
+  constructor(jobId, signal, share = 1) {
+    Object.assign(this, { jobId, signal, budget: share * BUDGET });
+    this.full = false; // whether there is no room for those of all frames
   }
 
   /** @returns {number} how many are here. */
@@ -24,15 +27,16 @@ export class Surfaces {
   /** The surface of a frame [grid units], see meshes.js. */
   async get(index, signal = this.signal) {
     if (!this.#held.has(index)) {
-      const { mesh } = await import("./meshes.js");
+      const { mesh } = await part(() => import("./meshes.js"));
       const path = `/jobs/${this.jobId}/frames/${index}/surface`;
-      this.#keep(index, await mesh(path, { query: { units: "grid" }, signal }));
+      const found = await mesh(path, { query: { units: "grid" }, signal });
+      if (!this.#held.has(index)) this.#keep(index, found); // which another may have asked for meanwhile
     }
     return this.#held.get(index);
   }
 
   /**
-   * Get those of all frames, one after the other.
+   * Get those of all frames, one after the other, as long as there is room.
    *
    * @param {number} count of frames.
    * @param {(index: number, mesh: object) => void} prepare does beforehand what motion needs.
@@ -45,11 +49,12 @@ export class Surfaces {
   clear() {
     this.#held.clear();
     this.#bytes = 0;
+    this.full = false;
   }
 
   async #getAll(count, prepare) {
     try {
-      for (let index = 0; index < count && this.#bytes < BUDGET; index++) prepare(index, await this.get(index));
+      for (let index = 0; index < count && !this.full; index++) prepare(index, await this.get(index));
     } catch {
       // the particles of these frames are shown
     }
@@ -58,7 +63,8 @@ export class Surfaces {
   #keep(index, mesh) {
     this.#held.set(index, mesh);
     this.#bytes += size(mesh);
-    while (this.#bytes > BUDGET && this.#held.size > 1) {
+    while (this.#bytes > this.budget && this.#held.size > 1) {
+      this.full = true;
       const [oldest, one] = this.#held.entries().next().value;
       this.#held.delete(oldest);
       this.#bytes -= size(one);

@@ -53,6 +53,7 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       onQuality: (names) => display.tell(names),
       onOwn: () => display.offerOwn(),
       sharedRange: () => links.range(),
+      share: 1 / ids.length,
       onArrival: () => settle(),
     });
     panel.metrics = (index) => rows[i][index] ?? null;

@@ -1,5 +1,5 @@
 /** Files of a job: what is there already, and exports that are made on demand. */
-import { Problem, get, pause, post, save } from "../../api.js";
+import { Problem, get, passes, pause, post, save } from "../../api.js";
 import { choice, offer } from "../../choice.js";
 import { fill, h } from "../../dom.js";
 import { bytes, jobFileName, lives, percent } from "../../format.js";
@@ -209,7 +209,10 @@ export class Downloads {
         bar.value = made.progress ?? 0;
         words.textContent = `The export is in progress, ${percent(made.progress ?? 0)}.`;
         await pause(ASK_MILLISECONDS, this.signal);
-        made = await get(path, { signal: this.signal });
+        made = await get(path, { signal: this.signal }).catch((error) => {
+          if (!passes(error)) throw error;
+          return made;
+        });
       }
       if (made.state === "failed") throw new Problem({ detail: made.problem?.cause, ...made.problem });
       tell(

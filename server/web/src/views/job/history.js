@@ -1,5 +1,6 @@
 /** What happened to a job, the newest first. */
 import { fill, h } from "../../dom.js";
+import { when } from "../../format.js";
 import { sentence } from "./sentences.js";
 
 const SHOWN = 200;
@@ -38,14 +39,10 @@ export class History {
           h(
             "li",
             { class: event.type },
-            h("time", { datetime: event.at, class: "quiet small" }, clock(event.at)),
+            h("time", { datetime: event.at, class: "quiet small" }, when(event.at, "medium")),
             h("span", null, sentence(event)),
           ),
         ),
     );
   }
-}
-
-function clock(at) {
-  return new Date(at).toLocaleTimeString(undefined, { timeStyle: "medium" });
 }

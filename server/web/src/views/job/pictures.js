@@ -1,6 +1,7 @@
 /** Buttons that take pictures and films of what is shown. */
-import { saveBlob } from "../../api.js";
-import { h } from "../../dom.js";
+import { Problem, saveBlob } from "../../api.js";
+import { fill, h } from "../../dom.js";
+import { problemNotice } from "../../problem_notice.js";
 import { canRecord } from "../../viewer/recording.js";
 
 const TURN_SECONDS = 6;
@@ -25,11 +26,22 @@ export function pictures({ panel, timeline, name, signal }) {
       const stop = AbortSignal.any([signal, recording.signal]);
       const others = [...element.querySelectorAll("button")].filter((one) => one !== button);
       for (const other of others) other.disabled = true;
-      button.textContent = "Stop recording";
+      fill(trouble);
       try {
-        const { advance, seconds } = make(viewer);
+        const { ready, advance, seconds } = make(viewer);
+        if (ready) {
+          button.textContent = "Getting the surfaces…";
+          await Promise.race([ready(), aborted(stop)]);
+          if (stop.aborted) return;
+        }
+        button.textContent = "Stop recording";
         const recorded = await viewer.record(advance, { seconds, signal: stop });
         if (!signal.aborted) saveBlob(recorded, `${name()}-${suffix}.webm`);
+      } catch (error) {
+        if (signal.aborted) return;
+        console.warn("no film", error);
+        const detail = `This browser does not record the film: ${error.message}`;
+        fill(trouble, problemNotice(new Problem({ detail, remedy: "Try it again, or in another browser." })));
       } finally {
         recording = null;
         timeline.rest();
@@ -51,6 +63,7 @@ export function pictures({ panel, timeline, name, signal }) {
     const { pace, count } = timeline;
     const pictures = pace ? pace.frames.length : count;
     return {
+      ready: () => panel.ready(),
       advance: (share) => timeline.at(timeline.momentAt(share * (pictures - 1))),
       seconds: Math.max(1, pictures / (pace ? pace.fps : Number(timeline.rate.value))),
     };
@@ -59,6 +72,7 @@ export function pictures({ panel, timeline, name, signal }) {
     const viewer = await panel.viewer;
     if (viewer) saveBlob(await viewer.screenshot(), `${name()}-frame-${timeline.index + 1}.png`);
   };
+  const trouble = h("div");
   const element = h(
     "section",
     { class: "stack", "aria-labelledby": "pictures" },
@@ -70,6 +84,11 @@ export function pictures({ panel, timeline, name, signal }) {
       canRecord() && film("Video of the frames, WebM", "frames", trajectory),
       canRecord() && film("Turntable, WebM", "turntable", turntable),
     ),
+    trouble,
   );
   return element;
+}
+
+function aborted(signal) {
+  return new Promise((resolve) => signal.addEventListener("abort", resolve, { once: true }));
 }

@@ -46,6 +46,7 @@ export class Sharing {
   }
 
   async #make({ currentTarget: pressed }) {
+    if (pressed.hasAttribute("aria-disabled")) return; // a double click is one link
     pressed.setAttribute("aria-disabled", "true"); // a disabled one would lose the focus
     try {
       fill(this.trouble);

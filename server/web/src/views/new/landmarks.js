@@ -45,7 +45,7 @@ export class Landmarks {
     const focused = this.list.contains(document.activeElement) ? document.activeElement.id : "";
     this.all = all;
     fill(this.list, all.map((landmark, index) => this.row(landmark, index)));
-    if (focused) document.getElementById(focused)?.focus();
+    if (focused) (document.getElementById(focused) ?? this.list.querySelector("li:last-child button") ?? this.typed).focus();
     this.tell();
   }
 
@@ -87,7 +87,9 @@ export class Landmarks {
 
   tell() {
     const { source, target } = this.begun;
-    this.back.disabled = !source && !target && this.all.length === 0;
+    const none = !source && !target && this.all.length === 0;
+    if (none && document.activeElement === this.back) this.toggle.focus();
+    this.back.disabled = none;
     const full = this.all.length >= MOST && `At most ${MOST} are allowed.`;
     const next = source
       ? "Now click the point of the target where it ends."
@@ -130,7 +132,17 @@ export class Landmarks {
       name,
       point("source"),
       point("target"),
-      h("button", { type: "button", class: "compact", "aria-label": `Remove landmark ${index + 1}`, on: { click: remove } }, "Remove"),
+      h(
+        "button",
+        {
+          type: "button",
+          id: `landmark-remove-${index}`, // by which it keeps the focus
+          class: "compact",
+          "aria-label": `Remove landmark ${index + 1}`,
+          on: { click: remove },
+        },
+        "Remove",
+      ),
     );
   }
 

@@ -200,7 +200,6 @@ class Form {
   showBetween() {
     const { via } = this.draft;
     if (this.ends.children.length === via.length + 2) return;
-    while (this.between.length > via.length) this.between.pop().ending.abort();
     while (this.between.length < via.length) this.between.push(this.oneBetween(this.between.length));
     const cards = this.between.map(({ chooser }) => chooser.element);
     fill(this.ends, this.source.element, ...cards, this.target.element);
@@ -214,7 +213,12 @@ class Form {
     const there = AbortSignal.any([this.signal, ending.signal]);
     const noun = `shape number ${index + 2}`;
     const chooser = new Chooser(`via-${index}`, `Through (${index + 1})`, this.shapes, heard, there, noun);
-    const remove = () => this.changed({ via: this.draft.via.toSpliced(index, 1) });
+    const remove = () => {
+      // the cards after it are made anew, since they have other numbers
+      for (const { ending } of this.between.splice(index)) ending.abort();
+      this.changed({ via: this.draft.via.toSpliced(index, 1) });
+      this.more.focus();
+    };
     const label = `Remove ${noun}`;
     chooser.element.append(
       h("button", { type: "button", class: "compact", on: { click: remove } }, label),

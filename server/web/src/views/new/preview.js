@@ -3,6 +3,7 @@
 import { particles } from "../../api.js";
 import { fill, h } from "../../dom.js";
 import { plural } from "../../format.js";
+import { part } from "../../part.js";
 import { problemNotice } from "../../problem_notice.js";
 import { bindKeys, cameraKeys } from "../../viewer/keys.js";
 import { under } from "../../viewer/landmarks.js";
@@ -159,13 +160,14 @@ export class Preview {
 
   undrawable(error) {
     if (this.signal.aborted) return;
+    if (error.name === "Problem") return this.warnings.append(problemNotice(error));
     console.warn("no 3D view", error);
     this.warnings.append(h("p", { class: "quiet small" }, "This browser does not support 3D graphics."));
   }
 
   async draw(positions, signal) {
     if (!this.viewer) {
-      const { Viewer } = await import("../../viewer/viewer.js");
+      const { Viewer } = await part(() => import("../../viewer/viewer.js"));
       if (this.signal.aborted || signal.aborted) return;
       this.viewer ??= new Viewer(this.scene, {
         reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches,

@@ -17,7 +17,7 @@ export class Setting {
     this.typing = false; // what is half typed is nobody else's to change
     this.input = input(about, id, {
       input: () => (this.typing = true),
-      blur: () => (this.typing = false),
+      blur: () => (this.input.validity.badInput ? this.read() : (this.typing = false)), // of half a number no change is told
       change: () => this.read(),
     });
     this.trouble = h("p", { class: "fault", id: `${id}-fault`, role: "alert" });
@@ -79,7 +79,7 @@ export class Setting {
     const text = about.kind === "boolean" ? "" : this.input.value.trim();
     let value;
     if (about.kind === "boolean") value = this.input.checked;
-    else if (text === "" && about.nullable) value = null;
+    else if (text === "" && about.nullable && !this.input.validity.badInput) value = null;
     else if (about.kind === "integer" || about.kind === "number") {
       value = Number(text);
       if (text === "" || !this.input.checkValidity() || !Number.isFinite(value)) {
