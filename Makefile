@@ -55,7 +55,7 @@ $(WEB)/node_modules/.package-lock.json: $(WEB)/package.json $(WEB)/package-lock.
 
 test-browser: install page  ## the web page in headless Chromium, against the real service
 	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
-	$(BIN)/python -m pytest -m browser
+	$(BIN)/python -m pytest $(PARALLEL) -m browser tests/browser
 
 site: install $(DOCS_STAMP)  ## the documentation as a site, in the folder site; Python 3.11 or newer
 	rm -rf site
@@ -68,7 +68,7 @@ $(DOCS_STAMP): requirements-docs.lock $(STAMP)
 
 test-site: site  ## its links, its examples, and its pages in headless Chromium
 	@test -n "$(CHROMIUM)" || { echo "There is no chromium here: apt-get install chromium, or name one in MORPH_CHROMIUM."; exit 2; }
-	$(BIN)/python -m pytest -m site
+	$(BIN)/python -m pytest -m site tests/site tests/acceptance/test_documented_examples.py
 
 test-faults: install  ## kill, stop, cut and corrupt what runs, on SQLite and Postgres; long
 	$(BIN)/python -m pytest -m faults

@@ -174,5 +174,7 @@ def version_0_1_0(tmp_path: Path) -> Path:
     """
     folder = tmp_path / "version_0_1_0"
     with tarfile.open(Path(__file__).parent / "data" / "version_0_1_0" / "files.tar.xz") as archive:
-        archive.extractall(folder, filter="data")
+        # older Pythons, such as Debian's 3.11.2, have no filters
+        options = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
+        archive.extractall(folder, **options)
     return folder

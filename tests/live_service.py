@@ -15,6 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.patience import PATIENCE
+
 START_SECONDS = 180
 """How long the service may take to start; it imports the engine, on a machine that may be busy."""
 
@@ -76,10 +78,9 @@ class LiveService:
         if self._process is not None:
             self._process.send_signal(signal.SIGTERM)
             try:
-                self._process.wait(20)
-            except subprocess.TimeoutExpired:
+                self._process.wait(PATIENCE)
+            finally:
                 self._process.kill()
-                self._process.wait()
 
     def call(self, method: str, path: str, **request: Any) -> httpx.Response:
         """Call the API."""

@@ -29,7 +29,8 @@ THREAD = 0.3
 """Smoothed indicator below which the body is a thread thinner than some 0.6 grid cells."""
 
 LEAST_PIECE = 100
-"""Lattice points of the smallest separate piece of the body that is kept: some 40 particles."""
+"""Lattice points of the smallest separate piece of the body that is kept, some 40 particles; where
+most of an end is in pieces less than twice as large, half of what these have."""
 
 LARGE_PIECE = 0.1
 """Share of the body from which a separate piece is kept though neither end has it."""
@@ -120,7 +121,9 @@ class BodyPath:
     ) -> None:
         self._step = grid.dx / REFINEMENT
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
-        self._most_pieces = max(_piece_count(distance) for distance in (source, target))
+        sizes = [_piece_sizes(distance) for distance in (source, target)]
+        self._least_piece = min(LEAST_PIECE, *(_usual(pieces) / 2 for pieces in sizes))
+        self._most_pieces = max(int((pieces >= self._least_piece).sum()) for pieces in sizes)
         self._grid = grid
         self._matter = matter
         self._tension = tension
@@ -214,7 +217,7 @@ class BodyPath:
             sizes = np.bincount(pieces.ravel())[1:]
             kept = sizes >= LARGE_PIECE * sizes.sum()
             kept[np.argsort(-sizes, kind="stable")[: self._most_pieces]] = True
-            kept = np.append(False, kept & (sizes >= LEAST_PIECE))  # by label
+            kept = np.append(False, kept & (sizes >= self._least_piece))  # by label
             given_up = (pieces > 0) & ~kept[pieces]
             level = np.where(given_up, np.maximum(level, -level), level)
         return level
@@ -346,11 +349,17 @@ def _distance_to_others(mask: NDArray[np.bool_]) -> Field:
     return np.sqrt(nearest.sum(axis=0, dtype=np.int32)).astype(np.float32)
 
 
-def _piece_count(distance: Field) -> int:
-    """Separate pieces of a shape that hold more than a few particles."""
+def _piece_sizes(distance: Field) -> NDArray[np.intp]:
+    """Lattice points of each separate piece of a shape."""
     inside = distance < 0
     pieces, _ = scipy.ndimage.label(inside[_bounding_box(inside, margin=0)])
-    return max(1, int(np.count_nonzero(np.bincount(pieces.ravel())[1:] >= LEAST_PIECE)))
+    return np.bincount(pieces.ravel())[1:]
+
+
+def _usual(sizes: NDArray[np.intp]) -> int:
+    """Size of the piece that a point of the shape is in, as the median over all points."""
+    ascending = np.sort(sizes)
+    return int(ascending[np.searchsorted(np.cumsum(ascending), sizes.sum() / 2)])
 
 
 def _quantile(level: Field, count: int) -> np.float32:

@@ -37,7 +37,10 @@ from morph_engine.mpm.grid_size import PADDING
 from morph_engine.unfilled_arrays import unfilled
 
 LEAST_FILLED = 0.05
-"""Nodes that are to be filled less take no part; matter there is led back by the surface alone."""
+"""Nodes that are to be filled less take no part; matter there is led back by the surface alone.
+
+This and `NEARLY_EMPTY` are shares of `full`; they are less where matter is thin everywhere.
+"""
 
 NEARLY_EMPTY = 0.1
 """Nodes that are filled less have no more than `CALM` cells a time step of speed: a single particle
@@ -117,7 +120,14 @@ class Projection:
         clear(nodes, self._levels, self._vectors, self.grid)
 
     def project(
-        self, nodes: Any, masses: Sequence[Any], shares: tuple[float, float], dt: float, gain: float
+        self,
+        nodes: Any,
+        masses: Sequence[Any],
+        shares: tuple[float, float],
+        dt: float,
+        gain: float,
+        *,
+        thinness: float = 1.0,
     ) -> None:
         """Change node velocities in place.
 
@@ -127,9 +137,12 @@ class Projection:
             shares: m* and m*' are so far from the first state to the second.
             dt: Time step [s].
             gain: Share of an error of mass that is mended in this step.
+            thinness: What `LEAST_FILLED` and `NEARLY_EMPTY` are multiplied by: below 1 where nodes
+                deep inside hold but a few per cent of `full`.
         """
         system, vectors, grid = self._system, self._vectors, self.grid
-        list_rows(nodes, *masses, *shares, system, self._levels, vectors, self.full, grid)
+        least = thinness * LEAST_FILLED
+        list_rows(nodes, *masses, *shares, least, system, self._levels, vectors, self.full, grid)
         layout = (self._chunks, self._stride)
         largest = assemble(
             nodes,
@@ -152,7 +165,8 @@ class Projection:
             self.iterations_made += 1
             if largest < limit:
                 break
-        finish(nodes, system, self._levels, vectors, self.full, dt, grid)
+        nearly_empty = thinness * NEARLY_EMPTY * self.full
+        finish(nodes, system, self._levels, vectors, nearly_empty, dt, grid)
 
 
 @ti.func
@@ -201,6 +215,7 @@ def list_rows(
     next_mass: ti.types.ndarray(),
     share: float,
     next_share: float,
+    least: float,
     system: System,
     levels: ti.template(),
     vectors: Vectors,
@@ -220,7 +235,7 @@ def list_rows(
         found = 0
         for i in range(begin, end):
             most = most_wanted(mass, next_mass, share, next_share, i)
-            found += int(most > LEAST_FILLED)
+            found += int(most > least)
         system.line[k] = found
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -231,7 +246,7 @@ def list_rows(
         row = system.line[k]
         for i in range(begin, end):
             most = most_wanted(mass, next_mass, share, next_share, i)
-            if most > LEAST_FILLED:
+            if most > least:
                 system.index[i] = row
                 system.node[row] = i
                 vectors.filled[row] = ti.min(ti.max(most, nodes[i].w / full), 1.0)
@@ -401,7 +416,7 @@ def finish(
     system: System,
     levels: ti.template(),
     vectors: Vectors,
-    full: float,
+    nearly_empty: float,
     dt: float,
     grid: ti.template(),
 ):
@@ -422,7 +437,7 @@ def finish(
     for k in range(line_count(vectors.reach)):
         begin, end = line_of(k, vectors.reach, grid)
         for i in range(begin, end):
-            cells = ti.select(nodes[i].w < NEARLY_EMPTY * full, CALM, FASTEST)
+            cells = ti.select(nodes[i].w < nearly_empty, CALM, FASTEST)
             limit, squared = cells * grid.dx / dt, nodes[i].xyz.norm_sqr()
             if squared > limit * limit:
                 for axis in ti.static(range(3)):

@@ -36,6 +36,13 @@ LEAST_STRETCH = 0.15
 SHARES_KEPT = 8
 """Shares of the way at which the controls are kept: those of the frames being made."""
 
+LARGEST_SWEEP = 1.2
+"""Where the mean of the controls goes straight, the farthest may be so many times as far from the
+origin on the way as at its ends: a body off the origin that turns about itself would leave the
+grid, which holds a ball about the origin. It turns about that, then."""
+
+SWEEP_SHARES = (0.25, 0.5, 0.75)
+
 LEAST_DISTANCE = 0.05
 """From a landmark, below which points follow it equally [distances between controls]."""
 
@@ -96,6 +103,8 @@ class Warp:
             self.end - self.end.mean(axis=0), self.start - self.start.mean(axis=0)
         )
         self._rest = self._whole.inv() * Rotation.from_matrix(u @ axes)
+        self._turns_about_origin = False
+        self._turns_about_origin = self._sweeps_far()
         self._remainder = self.end - self._placed(self.affine(1.0), 1.0)
         self.at = functools.lru_cache(SHARES_KEPT)(self._controls_at)
 
@@ -155,16 +164,35 @@ class Warp:
         return laplacian
 
     def _placed(self, affine: Points, share: float) -> Points:
-        """Positions that fit the carried edges best, with their mean on a straight line."""
+        """Positions that fit the carried edges best, with their mean at its own place."""
         i, j, weight = self._edges
         edges = self.start[i] - self.start[j]
         carried = np.einsum("eij,ej->ei", (affine[i] + affine[j]) / 2, edges)
         right = np.zeros_like(self.start)
         np.add.at(right, i, weight[:, None] * carried)
         free = scipy.linalg.cho_solve(self._grounded, right)
-        middle = (1 - share) * self.start.mean(axis=0) + share * self.end.mean(axis=0)
-        placed: Points = free - free.mean(axis=0) + middle
+        placed: Points = free - free.mean(axis=0) + self._middle(share)
         return placed
+
+    def _middle(self, share: float) -> Points:
+        """The mean of the positions after a share of the way."""
+        begin, end = self.start.mean(axis=0), self.end.mean(axis=0)
+        if not self._turns_about_origin:
+            straight: Points = (1 - share) * begin + share * end
+            return straight
+        whole = Rotation.from_rotvec(share * self._whole.as_rotvec())
+        turned: Points = whole.apply(begin) + share * (end - self._whole.apply(begin))
+        return turned
+
+    def _sweeps_far(self) -> bool:
+        """Whether controls are much farther from the origin on the way than at its ends."""
+        on_the_way = [self._placed(self.affine(share), share) for share in SWEEP_SHARES]
+        ends = _farthest(self.start), _farthest(self.end)
+        return max(map(_farthest, on_the_way)) > LARGEST_SWEEP * max(ends)
+
+
+def _farthest(points: Points) -> float:
+    return float(np.linalg.norm(points, axis=1).max())
 
 
 def _edges(

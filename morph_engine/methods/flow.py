@@ -22,6 +22,7 @@ from morph_engine.mpm.grid_size import nodes_per_axis
 from morph_engine.optimization.watchdog import restarted
 from morph_engine.sections import (
     Fraction,
+    GridConfig,
     Kernel,
     MaterialConfig,
     NonNegative,
@@ -49,6 +50,9 @@ CELLS_PER_STEP = 0.4
 
 STEPS = 4
 """Time steps per frame to which the gain and the firmness of the surface refer."""
+
+SPREAD = 4.0
+"""From this growth of the volume on matter counts as thin everywhere."""
 
 TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried [dx]."""
@@ -146,6 +150,9 @@ class FlowOptions(MpmOptions):
     def share_of_way(self, frame: float, frames: int) -> float:
         """Begins and ends at rest."""
         return smoothstep(frame / ((1 - self.rest) * frames))
+
+    def check_grid(self, grid: GridConfig) -> None:
+        """Nothing: `time.dt` is no step of the flow, and its waves are as slow as its steps ask."""
 
     def check_legs(self, count: int) -> None:
         """Refuse landmarks, which belong to one source and one target."""
@@ -296,6 +303,8 @@ class Flow(MpmMethod[FlowOptions]):
             (mesh.vertices, mesh.faces, axis, band),
             lambda: {"distance": geometry.mesh_distance(mesh, axis, band)},
         )
+        if not (found["distance"] < 0).any():  # a sheet between the points of the lattice
+            return geometry.cloud_distance(points, axis, self.problem.config.spacing)
         return found["distance"]
 
     @property
@@ -366,6 +375,7 @@ class Flow(MpmMethod[FlowOptions]):
         depth = options.depth * self.problem.config.spacing / self._edge
         momentum = options.momentum ** (1 / steps)
         gain = 1 - (1 - options.gain) ** (STEPS / steps)
+        thinness = self._thinness(next_share)
         memory = options.memory * (1 - share)
         elasticity = math.exp(-1 / (steps * memory)) if memory > 0.01 else 0.0
         for step in range(steps):
@@ -379,7 +389,9 @@ class Flow(MpmMethod[FlowOptions]):
             self._projection.clear(nodes)
             simulation.to_nodes()
             shares = step / steps, part
-            self._projection.project(nodes, self._states.masses, shares, simulation.dt, gain)
+            self._projection.project(
+                nodes, self._states.masses, shares, simulation.dt, gain, thinness=thinness
+            )
             simulation.to_particles()
             left, left_then = (
                 options.rounds - i * options.rounds // steps for i in (step, step + 1)
@@ -393,6 +405,12 @@ class Flow(MpmMethod[FlowOptions]):
                 return simulation.faults
         self._stray_pieces.gather(simulation.layers[0].x, self._moved, self._spacing(next_share))
         return 0
+
+    def _thinness(self, share: float) -> float:
+        """How much less than usual a node may hold and still count, at a share of the way."""
+        source, target = self._path.volumes
+        growth = (1 - share) + share * target / source
+        return min(1.0, SPREAD / growth)
 
     def _settle(self, x: Any, share: float, body: tuple[Any, float], rounds: int) -> None:
         """Spread particles more evenly than the grid can, by at most their part of the path.

@@ -66,12 +66,12 @@ class LikeParts:
             with one_blas_thread():
                 controls, target = self._both()
                 if min(len(controls.points), len(target.points)) >= LEAST_CONTROLS:
-                    self._found = self._register(controls, target)
-        if self._found and (choice == "on" or landmarks or self._found.mismatch < LARGEST_MISMATCH):
-            source = problem.source.astype(np.float64)
-            self.warp = flow.Warp(controls, self._found)
-            self._followed = self.warp.follow(source)
-            self._held = self._closeness(source)
+                    self._found = found = self._register(controls, target)
+                    if choice == "on" or landmarks or found.mismatch < LARGEST_MISMATCH:
+                        source = problem.source.astype(np.float64)
+                        self.warp = flow.Warp(controls, found)
+                        self._followed = self.warp.follow(source)
+                        self._held = self._closeness(source)
         self._carried_share = -1.0
 
     def decisions(self) -> list[Event]:

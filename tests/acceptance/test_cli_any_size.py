@@ -16,7 +16,7 @@ from morph_engine.geometry.shapes import make
 from morph_engine.results.trajectory import Trajectory
 
 MORPH = Path(sys.executable).with_name("morph")
-QUICK = ["--points-per-cell-edge", "1", "--frames", "3", "--device", "cpu"]
+QUICK = ["--method", "dco", "--points-per-cell-edge", "1", "--frames", "3", "--device", "cpu"]
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 

@@ -348,7 +348,7 @@ def test_changed_settings_alone_are_sent(service, page):
     assert config["method"]["chamfer"]["huber_delta"] == 0.75
 
 
-def test_settings_are_those_of_the_chosen_methods(page):
+def test_settings_are_those_of_the_chosen_methods(service, page):
     """A method's settings come and go with it; a change that it does not have is not sent."""
     page.goto("/new")
     research(page)
@@ -369,6 +369,8 @@ def test_settings_are_those_of_the_chosen_methods(page):
         page.get_by_role("button", name="Morph").click()
     assert sent.value.post_data_json["overrides"] == {}
     page.wait_for_url("**/jobs/*")
+    # others need the worker
+    service.call("POST", f"/v1/jobs/{page.url.rpartition('/')[2]}/cancel")
 
 
 def test_an_artist_sees_no_jargon(page):

@@ -19,7 +19,7 @@ from tests.core_environment import (
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and paths as of POSIX")
 
-SMALL = ("--points-per-cell-edge", "1", "--frames", "1", "--quiet")
+SMALL = ("--method", "dco", "--points-per-cell-edge", "1", "--frames", "1", "--quiet")
 
 OF_EXTRAS = {
     "chamfer_morph.cli.mesh_fetch",

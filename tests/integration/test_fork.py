@@ -73,7 +73,7 @@ def test_with_the_same_settings_it_is_the_original(original: tuple[Path, Checkpo
         ("joint", {"sampling.points_per_cell_edge": 2}, "cannot change sampling"),
         ("joint", {"placement.target.scale": 2}, "cannot change placement"),
         ("joint", {"seed": 7}, "cannot change seed"),
-        ("joint", {"frames": 5}, "no frame of 5 is left"),
+        ("joint", {"frames": 5}, "none of the 5 frames is left"),
         ("joint", {"chamfer.weight": -1}, "chamfer.weight"),
         ("flow", {"frames": 80}, "cannot change frames"),
         ("flow", {"like_parts": "on"}, "cannot change like_parts"),

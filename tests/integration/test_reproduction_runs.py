@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from chamfer_morph.reproduction.meshes import MeshFolder
+from chamfer_morph.reproduction.runs import ends
 from chamfer_morph.reproduction.runs.ends import with_ends
 from chamfer_morph.reproduction.runs.run import Run
 from chamfer_morph.reproduction.runs.run_process import compute
@@ -110,6 +111,17 @@ def test_a_result_without_its_record_counts_if_the_same_code_made_it(
     assert is_kept == (code == RUN.code) == (record.provenance.cpu_seconds == LONG_AGO)
 
 
+@pytest.fixture
+def few_points(monkeypatch) -> Iterator[None]:
+    """The end of a run is measured by few points."""
+    for name in ("POINTS", "SURFACE_POINTS"):
+        monkeypatch.setattr(ends, name, 10_000)
+    ends._references.cache_clear()
+    yield
+    ends._references.cache_clear()
+
+
+@pytest.mark.usefixtures("few_points")
 def test_a_record_keeps_its_end_against_the_mesh(tmp_path, meshes) -> None:
     """It is measured once, from the result file, and told when that is gone."""
     store = Store(tmp_path / "results")

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from morph_engine import backend
+from morph_engine.backend import Precision
 from morph_engine.metrics import ball_counts, volume
 from morph_engine.metrics.ball_counts import BallCounts
 from morph_engine.metrics.volume import fill_metrics
@@ -14,10 +15,17 @@ from morph_engine.metrics.volume import fill_metrics
 Cloud = npt.NDArray[np.float32]
 
 
-@pytest.fixture(autouse=True, params=["float32", "float64"])
-def device(request: pytest.FixtureRequest) -> backend.Backend:
+@pytest.fixture(scope="module", params=["float32", "float64"])
+def precision(request: pytest.FixtureRequest) -> Precision:
+    """All tests in one, then all in the other: Taichi takes half a second for a change."""
+    chosen: Precision = request.param
+    return chosen
+
+
+@pytest.fixture(autouse=True)
+def device(precision: Precision) -> backend.Backend:
     """Taichi on two threads, in both precisions."""
-    return backend.start("cpu", threads=2, precision=request.param)
+    return backend.start("cpu", threads=2, precision=precision)
 
 
 def lattice(count: int, spacing: float, jitter: float = 0.0) -> Cloud:

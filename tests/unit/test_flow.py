@@ -2,16 +2,18 @@
 
 import subprocess
 import sys
-from itertools import pairwise
+from dataclasses import replace
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy
+import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from morph_engine import backend, morph
+from morph_engine import Frame, backend, morph
 from morph_engine.errors import ConfigError
 from morph_engine.flow import (
     BodyPath,
@@ -35,6 +37,7 @@ from morph_engine.flow.carrier import CELL, Carrier
 from morph_engine.flow.cell_list import CellList
 from morph_engine.flow.limbs import in_turn
 from morph_engine.flow.settling import FILLING, LONGEST_MOVE, REACH, RELAXATION, UNEVEN
+from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
 from morph_engine.geometry.signed_distance import cloud_distance, mesh_distance
@@ -668,6 +671,74 @@ def test_clouds_are_morphed_as_meshes_are() -> None:
     ]
     last = list(morph(*clouds, configure(overrides=SMALL)))[-1]
     assert last.metrics["cover"] > 0.95
+
+
+def as_mesh(*parts: trimesh.Trimesh) -> Mesh:
+    """A shape of one or more parts, as it stands."""
+    whole = trimesh.util.concatenate(parts)
+    return Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32), "shape", "0" * 64)
+
+
+def last_frame(source: Mesh, target: Mesh, **settings: Any) -> Frame:
+    """The last frame of a morph of shapes as they stand."""
+    config = configure("fast", {"sampling.fit": "none"} | settings)
+    *_, last = morph(source, target, config, device="cpu", threads=2)
+    return last
+
+
+def test_matter_spreads_to_fifty_times_its_volume() -> None:
+    """The farthest point of the ball is no farther from matter than three of its spacings there."""
+    rod = trimesh.creation.capsule(radius=0.8, height=12.4)
+    rod.apply_translation(-rod.bounds.mean(axis=0))
+    ball = trimesh.creation.icosphere(3, radius=7)
+    growth = ball.volume / rod.volume
+    assert growth > 50
+    last = last_frame(as_mesh(rod), as_mesh(ball), frames=16)
+    assert last.metrics["t2s_over_h"] < 0.9 * np.cbrt(growth)
+
+
+def test_a_body_breaks_into_many_small_pieces() -> None:
+    """Each is smaller than what is given up elsewhere, and all together are the target."""
+    ball = trimesh.creation.icosphere(2, radius=2.45)
+    places = product((-6, -3, 0, 3, 6), (-3, 0, 3), (-3, 0, 3))
+    pieces = [trimesh.creation.icosphere(2, radius=0.69).apply_translation(at) for at in places]
+    last = last_frame(as_mesh(ball), as_mesh(*pieces), frames=12)
+    assert last.metrics["coverage"] > 0.6
+
+
+def test_a_sheet_between_the_points_of_the_lattice_is_a_cloud() -> None:
+    """Its mesh has no lattice point inside, and yet it has particles."""
+    sheets = [trimesh.creation.box(sides) for sides in ((14, 14, 0.1), (18, 10, 0.1))]
+    for sheet in sheets:
+        sheet.apply_translation((0, 0, 0.17))
+    last = last_frame(*map(as_mesh, sheets), frames=4)
+    assert last.metrics["coverage"] > 0.7
+
+
+def test_a_body_off_the_origin_turns_within_the_grid() -> None:
+    """It would leave the grid if it turned about itself; landmarks say that it is to turn."""
+    head = trimesh.creation.icosphere(3, radius=3.5).apply_translation((0, 0, -6.5))
+    handle = trimesh.creation.cylinder(radius=0.6, height=14).apply_translation((0, 0, 3))
+    upright = as_mesh(head, handle)
+    flipped = replace(upright, vertices=upright.vertices * (1, -1, -1))
+    marks = [((0, 0, 10), (0, 0, -10)), ((3.4, 0, -6.5), (3.4, 0, 6.5))]
+    marks.append(((0, 3.4, -6.5), (0, -3.4, 6.5)))
+    landmarks = [{"source": source, "target": target} for source, target in marks]
+    settings = {"sampling.points_per_cell_edge": 2, "landmarks": landmarks}
+    last = last_frame(upright, flipped, frames=30, **settings)
+    assert last.metrics["coverage"] > 0.95
+    # a body of revolution: only where matter of the handle's end is tells that it has turned
+    source = prepare_run(upright, flipped, configure("fast", {"sampling.fit": "none"} | settings))
+    end = source.source_points[:, 2] > 8
+    assert last.positions[end, 2].max() < -6
+
+
+def test_the_step_of_other_methods_limits_nothing() -> None:
+    """The flow's own steps are as many as it needs, and stiffer matter is made softer."""
+    for settings in ({"grid.dx": 0.25}, {"material.youngs_modulus": 1e6}):
+        assert configure("fast", settings).method.name == "flow"
+        with pytest.raises(ConfigError, match="stability limit"):
+            configure("fast", {"method": "joint"} | settings)
 
 
 def test_waves_ask_for_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:

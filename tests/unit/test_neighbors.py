@@ -10,16 +10,24 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from morph_engine import backend
+from morph_engine.backend import Precision
 from morph_engine.geometry.neighbor_index import LEAF_SIZE, NO_MATCH, NeighborIndex, leaf_order
 
 Array = NDArray[np.floating[Any]]
 ROUNDING = {"float32": 4e-7, "float64": 1e-15}  # a few units in the last place
 
 
-@pytest.fixture(params=["float32", "float64"])
-def device(request: pytest.FixtureRequest) -> backend.Backend:
+@pytest.fixture(scope="module", params=["float32", "float64"])
+def precision(request: pytest.FixtureRequest) -> Precision:
+    """All tests in one, then all in the other: Taichi takes half a second for a change."""
+    chosen: Precision = request.param
+    return chosen
+
+
+@pytest.fixture
+def device(precision: Precision) -> backend.Backend:
     """Taichi on two threads, in both precisions."""
-    return backend.start("cpu", threads=2, precision=request.param)
+    return backend.start("cpu", threads=2, precision=precision)
 
 
 def find(

@@ -19,29 +19,31 @@ from chamfer_morph.reproduction.propositions.coupling import (
 from chamfer_morph.reproduction.propositions.penalties import PENALTIES, neighbor_lists
 from chamfer_morph.reproduction.propositions.scene import TARGETS, cluster, elsewhere
 
-CHECKS = all_checks()
+NAMES = ["Proposition 1", "Proposition 2", "Proposition 3", "Corollary 1"]
 
 
-def test_the_four_statements_in_order():
+@pytest.fixture(scope="module")
+def checks():
+    """All of them, computed once."""
+    return all_checks()
+
+
+def test_the_four_statements_in_order(checks):
     """Propositions 1 to 3 and corollary 1."""
-    assert [check.name for check in CHECKS] == [
-        "Proposition 1",
-        "Proposition 2",
-        "Proposition 3",
-        "Corollary 1",
-    ]
+    assert [check.name for check in checks] == NAMES
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
-def test_identities_hold(check):
+@pytest.mark.parametrize("name", NAMES)
+def test_identities_hold(checks, name):
     """Every quantity is what the statement says."""
+    (check,) = (check for check in checks if check.name == name)
     assert check.quantities
     assert [each for each in check.quantities if not each.holds] == []
 
 
-def test_the_corollary_is_refuted_and_the_propositions_are_not():
+def test_the_corollary_is_refuted_and_the_propositions_are_not(checks):
     """Every counterexample within the assumptions is a real one, and only the corollary has any."""
-    *propositions, corollary = CHECKS
+    *propositions, corollary = checks
     assert all(check.holds and not check.refuted_by for check in propositions)
     assert len(corollary.refuted_by) == 2
     assert all(each.is_counterexample for each in corollary.refuted_by)
@@ -60,9 +62,10 @@ def test_what_a_grid_does_depends_on_its_cells():
         assert max(drifts[CELLS.index(WIDE) :]) < 0.75
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
-def test_limits_are_counterexamples(check):
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_are_counterexamples(checks, name):
     """Every limit breaks the statement's prediction."""
+    (check,) = (check for check in checks if check.name == name)
     assert check.limits
     assert [each for each in check.limits if not each.is_counterexample] == []
 
@@ -132,4 +135,4 @@ def test_figure_has_a_column_per_statement():
     picture = figure()
     assert len(picture.axes) == 8
     titles = [axes.get_title().splitlines()[0] for axes in picture.axes[:4]]
-    assert titles == [check.name for check in CHECKS]
+    assert titles == NAMES

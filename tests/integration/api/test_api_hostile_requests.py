@@ -47,4 +47,4 @@ def test_many_faults_are_told_in_few_words(api: Api) -> None:
         answer = api.http.post(path, json=body)
         assert answer.status_code == 422 and answer.json()["remedy"], path
         assert len(answer.content) < SHORT_ANSWER_BYTES, (path, answer.text[:200])
-    assert "50000 faults" in api.http.post("/v1/jobs", json=MORPH | unknown).json()["detail"]
+    assert "50000 errors" in api.http.post("/v1/jobs", json=MORPH | unknown).json()["detail"]

@@ -28,8 +28,8 @@ from tests.patience import PATIENCE, until
 JOB: dict[str, Any] = {
     "source": {"shape": "sphere"},
     "target": {"shape": "star"},
-    "method": "joint",
-    "overrides": {"sampling.points_per_cell_edge": 2},
+    "method": "dco",
+    "overrides": {"sampling.points_per_cell_edge": 1},
     "frames": 3,
 }
 
@@ -132,7 +132,7 @@ def test_a_morph_from_submit_to_result(service: Service, tmp_path: Path) -> None
         assert frame == trajectory.positions(1).astype("<f4").tobytes()
     assert [row["frame"] for row in service.http.get(f"/v1/jobs/{job}/metrics").json()] == [0, 1, 2]
 
-    long = service.http.post("/v1/jobs", json=JOB | {"frames": 400}).json()["id"]
+    long = service.http.post("/v1/jobs", json=JOB | {"frames": 4000}).json()["id"]
     service.wait(long, "running")
     until(lambda: service.http.get(f"/v1/jobs/{long}").json()["progress"]["frame"] >= 2)
     slot = service.http.get("/v1/workers").json()[0]
@@ -160,11 +160,12 @@ def test_a_morph_from_submit_to_result(service: Service, tmp_path: Path) -> None
 
 def test_what_dies_is_started_again(service: Service) -> None:
     """A killed API answers again on the same port, a killed worker goes on with its job."""
-    job = service.http.post("/v1/jobs", json=JOB).json()["id"]
+    job = service.http.post("/v1/jobs", json=JOB | {"frames": 300}).json()["id"]
     service.children("api")[0].kill()
-    service.wait(job, "running", "succeeded")
+    while not service.wait(job, "running")["progress"]["frame"]:
+        time.sleep(0.05)
     service.children("run")[0].kill()
-    assert service.wait(job, "succeeded")["progress"]["frame"] == 3
+    assert service.wait(job, "succeeded")["progress"]["frame"] == 300
     processes = psutil.Process(service.process.pid).children(recursive=True)
     service.process.kill()
     service.process.wait()

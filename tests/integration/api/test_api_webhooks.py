@@ -142,7 +142,7 @@ def test_how_many(make_api: Callable[..., Api]) -> None:
     for status in (201, 201, 429):
         answer = api.http.post("/v1/webhooks", json={"url": URL})
         assert answer.status_code == status
-    assert "may have 2" in answer.json()["detail"]
+    assert "the limit is 2" in answer.json()["detail"]
 
 
 def test_pages_of_the_log(either: Api) -> None:
