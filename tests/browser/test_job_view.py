@@ -708,7 +708,7 @@ def test_a_film_shows_the_surface_that_is_seen(page, done, tmp_path, script):
     page.goto(f"/jobs/{done}?quality=sketch&details=files")
     expect(page.locator(".surface-words")).to_contain_text("dx from the target")
     page.evaluate(NOTES)
-    film = saved(page, "Film of the frames, WebM", tmp_path)
+    film = saved(page, "Video of the frames, WebM", tmp_path)
     assert film.read_bytes().startswith(b"\x1aE\xdf\xa3")
     assert not [note for note in page.evaluate("window.notes") if "Particles" in note]
 
@@ -719,7 +719,7 @@ def test_a_film_that_cannot_be_recorded_is_told_of(opened):
     opened.evaluate(f"() => {{ {refuse}; }}")
     details(opened, "Files")
     opened.get_by_role("button", name="Turntable, WebM").click()
-    expect(opened.get_by_role("alert")).to_contain_text("does not record the film: no encoder")
+    expect(opened.get_by_role("alert")).to_contain_text("cannot record videos: no encoder")
     expect(opened.get_by_role("button", name="Turntable, WebM")).to_be_enabled()
 
 
@@ -730,7 +730,7 @@ def test_a_frame_that_cannot_be_had_is_told_of(page, done):
     page.route(frame, lambda route: route.fulfill(status=500, json=problem))
     page.goto(f"/jobs/{done}?shape=points&quality=sketch")
     expect_frame(page, 1)
-    page.get_by_role("button", name="One frame on").click()
+    page.get_by_role("button", name="Next frame").click()
     expect(page.locator(".scene-note")).to_contain_text("not available: The frame is broken.")
     page.unroute(frame)
     expect_frame(page, 2)

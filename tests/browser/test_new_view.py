@@ -488,7 +488,7 @@ def test_half_a_number_is_told_where_none_is_needed(page):
     tension = page.locator("[id='set-tension']")
     tension.press_sequentially("1e")
     tension.blur()
-    expect(page.locator("[id='set-tension-fault']")).to_contain_text("Give a number")
+    expect(page.locator("[id='set-tension-fault']")).to_contain_text("Enter a number")
 
 
 def test_a_morph_lasts_as_many_seconds_as_asked(page):
@@ -591,7 +591,7 @@ def test_a_morph_goes_through_several_shapes(service, mesh_files, page):
 def test_the_shape_between_that_is_removed_goes(page):
     """Not the last one: what is not chosen yet goes with it, and the morph can be sent."""
     page.goto("/new")
-    add = page.get_by_role("button", name="Add a shape between")
+    add = page.get_by_role("button", name="Add a shape in between")
     add.click()
     add.click()
     card(page, "Through (2)").get_by_role("radio", name="heart").check()

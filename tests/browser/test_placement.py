@@ -225,7 +225,7 @@ def test_removing_landmarks_keeps_the_focus(page):
     """On what is left, so that the keyboard goes on from there."""
     page.goto("/new")
     landmarks = page.get_by_role("region", name="Landmarks")
-    typed = landmarks.get_by_role("button", name="Add by numbers")
+    typed = landmarks.get_by_role("button", name="Add by coordinates")
     for number in (1, 2):
         typed.click()
         expect(landmarks.get_by_role("listitem")).to_have_count(number)
@@ -235,7 +235,7 @@ def test_removing_landmarks_keeps_the_focus(page):
     expect(typed).to_be_focused()
     typed.click()
     landmarks.get_by_role("button", name="Undo").press("Enter")
-    expect(landmarks.get_by_role("button", name="Pick in the pictures")).to_be_focused()
+    expect(landmarks.get_by_role("button", name="Pick in the views")).to_be_focused()
 
 
 def test_landmarks_are_picked_named_and_kept(service, form, serious_faults):

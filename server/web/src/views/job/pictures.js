@@ -40,7 +40,7 @@ export function pictures({ panel, timeline, name, signal }) {
       } catch (error) {
         if (signal.aborted) return;
         console.warn("no film", error);
-        const detail = `This browser does not record the film: ${error.message}`;
+        const detail = `This browser cannot record videos: ${error.message}`;
         fill(trouble, problemNotice(new Problem({ detail, remedy: "Try it again, or in another browser." })));
       } finally {
         recording = null;
