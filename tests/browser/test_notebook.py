@@ -80,5 +80,7 @@ def test_a_morph_that_was_stopped_goes_on(tmp_path: Path) -> None:
 
 def test_what_is_wrong_is_said_in_the_cell(tmp_path: Path) -> None:
     """A shape that there is not ends the cell with the error and its remedy."""
-    with pytest.raises(CellExecutionError, match=r"no-such-shape.*Built-in shapes are sphere"):
+    with pytest.raises(
+        CellExecutionError, match=r"no-such-shape.*Available built-in shapes: sphere"
+    ):
         executed(tmp_path, "from morph_engine import morph", "morph('no-such-shape', 'star')")
