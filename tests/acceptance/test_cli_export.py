@@ -127,7 +127,7 @@ def test_render_keeps_a_time_of_its_own(result, tmp_path):
         (("export", "gone.vtkhdf", "-o", "x.ply"), "Check the path"),
         (("render", "RESULT", "-o", "x.mp4", "--size", "big"), "960x720"),
         (("render", "RESULT", "-o", "x.gif", "--snap"), "--surface"),
-        (("render", "RESULT", "-o", "x.gif", "--seconds", "1", "--hold", "1"), "rests"),
+        (("render", "RESULT", "-o", "x.gif", "--seconds", "1", "--hold", "1"), "pauses"),
         (("render", "RESULT", "-o", "x.gif", "--camera-key", "0:1"), "0.5:90,30,1.5"),
         (("render", "RESULT", "-o", "x.gif", "--background", "transparent"), "webm"),
         (("render", "RESULT", "-o", "x.gif", "--background", "blakc"), "Did you mean 'black'?"),

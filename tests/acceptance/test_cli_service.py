@@ -202,7 +202,7 @@ def test_ctrl_c_leaves_a_watched_job_alone_which_then_is_cancelled(morph, long_j
     watching.send_signal(signal.SIGINT)
     _, said = watching.communicate(timeout=600)
     assert watching.returncode == 130
-    assert "the job goes on" in said and f"morph watch {job_id}" in said
+    assert "the job continues" in said and f"morph watch {job_id}" in said
     assert json.loads(morph("show", job_id, "--json").stdout)["state"] == "running"
     assert_refused(morph("retry", job_id), "running")
 

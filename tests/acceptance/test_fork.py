@@ -54,7 +54,7 @@ def test_a_job_is_forked(cluster: Cluster, client: MorphClient) -> None:
     worker = cluster.worker()
     original = client.submit("sphere", "star", **RUN, states_every=2)
     expected = positions(cluster, original.id)
-    with pytest.raises(ServiceError, match="no full state after frame 2; only after 1, 3"):
+    with pytest.raises(ServiceError, match="no full state after frame 2, only after 1, 3"):
         client.fork(original.id, 2)
     with pytest.raises(ServiceError, match="cannot change grid"):
         client.fork(original.id, 1, overrides={"grid.dx": 2})

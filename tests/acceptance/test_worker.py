@@ -208,7 +208,7 @@ def test_a_job_that_takes_too_much_memory_is_stopped(cluster):
     job = cluster.submit()
     problem = cluster.wait_for_state(job, JobState.FAILED).problem
     assert problem.kind == "resources"
-    assert "jobs may have 150 MB" in problem.cause
+    assert "the limit of 150 MB per job" in problem.cause
     assert tight.poll() is None
     assert not cluster.engines(tight)
     tight.terminate()
@@ -253,7 +253,7 @@ def test_an_engine_takes_no_memory_beyond_its_limit(tmp_path):
         time.sleep(0.1)
     engine.wait()
     assert engine.problem is not None and engine.problem.kind == "resources"
-    assert "jobs may have 100 MB" in engine.problem.cause
+    assert "the limit is 100 MB per job" in engine.problem.cause
     assert engine.peak_memory < 3e9, "which takes 5.8 GB without a limit"
 
 
