@@ -58,7 +58,7 @@ def test_a_job_is_forked(cluster: Cluster, client: MorphClient) -> None:
         client.fork(original.id, 2)
     with pytest.raises(ServiceError, match="cannot change grid"):
         client.fork(original.id, 1, overrides={"grid.dx": 2})
-    with pytest.raises(ServiceError, match="no frame of 4 is left"):
+    with pytest.raises(ServiceError, match="none of the 4 frames is left"):
         client.fork(original.id)
     worker.terminate()
     worker.wait()
