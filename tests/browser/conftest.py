@@ -151,10 +151,11 @@ def serious_faults() -> Callable[[Page], list[str]]:
 
 @pytest.fixture(scope="session")
 def mesh_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Mesh files: a ball and a box as large as usual, a pebble far off, a sheet without volume."""
+    """Mesh files: a ball and two boxes as large as usual, a pebble far off, a sheet with no volume."""
     folder = tmp_path_factory.mktemp("meshes")
     shapes = {
         "ball.obj": trimesh.creation.icosphere(subdivisions=2, radius=6.0),
+        "crate.obj": trimesh.creation.box((8.0, 9.0, 7.0)),
         "box.stl": trimesh.creation.box((9.0, 9.0, 9.0)),
         "pebble.obj": trimesh.creation.icosphere(subdivisions=2, radius=1.4),
         "sheet.obj": trimesh.Trimesh([[0, 0, 0], [5, 0, 0], [0, 5, 0]], [[0, 1, 2]]),

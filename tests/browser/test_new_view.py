@@ -239,7 +239,7 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     never seen after it.
     """
     ball, sheet, pebble = (mesh_files[f"{name}.obj"] for name in ("ball", "sheet", "pebble"))
-    box = mesh_files["box.stl"]
+    crate = mesh_files["crate.obj"]
     from_card = card(page, "From")
 
     def act(do, settle):
@@ -289,7 +289,7 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
     seen = act(lambda: drop(page, sheet, pebble), lambda: expect(names).to_have_text("pebble.obj"))
     expect(refused).to_have_count(0)
     wait_for_particles(page)
-    seen = act(lambda: drop(page, box, ball), lambda: expect(names).to_have_text("ball.obj"))
+    seen = act(lambda: drop(page, crate, ball), lambda: expect(names).to_have_text("ball.obj"))
     assert {now["name"] for now in seen} == {"", "ball.obj"}
 
 

@@ -12,6 +12,8 @@ const GONE = [401, 404]; // the key or the share link was revoked; the job was d
 export class Watch {
   #last = 0;
   #rows = new Map();
+  #asked = 0;
+  #answered = 0;
 
   /**
    * @param {string} jobId
@@ -31,7 +33,17 @@ export class Watch {
 
   /** The job as it is now. */
   async ask() {
-    this.job = await get(`/jobs/${this.jobId}`, { signal: this.signal });
+    const turn = ++this.#asked;
+    const job = await get(`/jobs/${this.jobId}`, { signal: this.signal });
+    if (turn < this.#answered) return this.job; // a later answer was quicker
+    this.#answered = turn;
+    if (this.job && lives(this.job.state) && lives(job.state)) {
+      const told = Math.max(job.progress.frame, this.#rows.size); // events may be quicker, too
+      job.progress = { ...job.progress, frame: told };
+    } else if (job.progress.frame === 0) {
+      this.#rows.clear(); // it begins anew
+    }
+    this.job = job;
     this.heard.onJob(this.job);
     return this.job;
   }
