@@ -151,7 +151,7 @@ def serious_faults() -> Callable[[Page], list[str]]:
 
 @pytest.fixture(scope="session")
 def mesh_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Mesh files: a ball and two boxes as large as usual, a pebble far off, a sheet with no volume."""
+    """Mesh files: a ball and two boxes of usual size, a pebble far off, a sheet with no volume."""
     folder = tmp_path_factory.mktemp("meshes")
     shapes = {
         "ball.obj": trimesh.creation.icosphere(subdivisions=2, radius=6.0),

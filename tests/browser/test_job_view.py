@@ -227,7 +227,7 @@ def test_a_job_is_watched_to_its_end(service, page):
     expect(
         page.get_by_role("img", name=re.compile("^Chamfer distance over frames"))
     ).to_be_visible()
-    expect(page.locator(".history")).to_contain_text("Attempt 1 began.")
+    expect(page.locator(".history")).to_contain_text("Attempt 1 started.")
     assert 0.05 < drawn(page) < 0.95
 
 

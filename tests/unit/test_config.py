@@ -44,7 +44,7 @@ def test_overrides_reach_their_field() -> None:
         ({"frames": 0}, "greater than or equal to 1"),
         ({"material.poisson_ratio": 0.5}, "less than 0.5"),
         ({"material.model": "jelly"}, "neo_hookean"),
-        ({"time.dt": 0.03}, "stability limit of 0.02196"),
+        ({"method": "joint", "time.dt": 0.03}, "stability limit of 0.02196"),
         ({"grid.dx": 0.7}, "whole cells"),
         ({"grid.half_extent": 150}, "4 to 250"),
         ({"method": "joint", "smoothing.values": "0.9,0.9"}, "one entry per value"),
