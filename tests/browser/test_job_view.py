@@ -850,7 +850,7 @@ def test_a_restart_of_the_service_loses_nothing(new_service, new_page):
     page = new_page(of=own)
     slow = {"sampling.points_per_cell_edge": 1, "points.steps_per_frame": 400}
     job = own.submit(name="through a restart", frames=frames, method="dco", overrides=slow)
-    page.goto(f"/jobs/{job}?details=curves")
+    page.goto(f"/jobs/{job}?details=curves&shape=points")
     reading = page.locator(".timeline output")
     expect(reading).to_have_text(re.compile(r"[1-9]\d* / "), timeout=1000 * COMPILING)
     notice = page.locator("#main .notice").get_by_text("The service does not answer.")

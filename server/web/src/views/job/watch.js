@@ -144,6 +144,7 @@ export class Watch {
       const before = this.job.state;
       try {
         await this.ask();
+        if (!lives(this.job.state)) this.heard.onConnection(true); // no stream tells that it is back
         if (before !== this.job.state) this.#wake?.();
       } catch (error) {
         if (GONE.includes(error.status)) throw error; // else the stream tells that the service is gone
