@@ -62,6 +62,13 @@ def exit_with_parent(status: int) -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
+def keep_output() -> int:
+    """A descriptor for messages alone: what anybody prints from now on goes to standard error."""
+    messages = os.dup(1)
+    os.dup2(2, 1)
+    return messages
+
+
 def lower_priority() -> None:
     """Let other processes have the cores first, such as a service that has to answer.
 

@@ -125,7 +125,7 @@ class ServerContext:
 
         To be asked after making what ends with the key: whoever revokes it deletes that afterwards.
         """
-        return bool(caller.name) and not self.api_keys.has(caller.name)
+        return bool(caller.digest) and not self.api_keys.has(caller.digest)
 
     async def compute(self, function: Callable[..., Result], *args: Any) -> Result:
         """Call a function that takes a while in a thread, when its turn has come."""

@@ -165,6 +165,11 @@ def _answers(url: str) -> bool:
     return True
 
 
+def extraction_filter() -> dict[str, str]:
+    """What newer Pythons want to be told about an archive that one trusts; 3.11.2 cannot be."""
+    return {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
+
+
 @pytest.fixture
 def version_0_1_0(tmp_path: Path) -> Path:
     """A folder of what version 0.1.0 left behind.
@@ -174,7 +179,5 @@ def version_0_1_0(tmp_path: Path) -> Path:
     """
     folder = tmp_path / "version_0_1_0"
     with tarfile.open(Path(__file__).parent / "data" / "version_0_1_0" / "files.tar.xz") as archive:
-        # older Pythons, such as Debian's 3.11.2, have no filters
-        options = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
-        archive.extractall(folder, **options)
+        archive.extractall(folder, **extraction_filter())
     return folder

@@ -36,7 +36,7 @@ from chamfer_morph.worker.kept_states import keep_state
 from chamfer_morph.worker.storage import Storage
 from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS, write_partial_result
 from morph_engine import backend, kept_results, spans
-from morph_engine.child_process import lower_priority
+from morph_engine.child_process import keep_output, lower_priority
 from morph_engine.code_digest import code_digest, code_files
 from morph_engine.errors import MorphError, ResultError
 from morph_engine.files import file_sha256, wait_for
@@ -64,7 +64,8 @@ def main(threads: int, kept_in: Path, likely: Mapping[str, Any], log_format: str
         likely: `method` and `extent` that the job will probably have, see `warm_up`.
         log_format: How to log, `text` or `json`.
     """
-    _keep_output_for_messages()
+    global _messages
+    _messages = keep_output()
     service_log.set_up_engine(log_format)
     lower_priority()
     be_ended_first()
@@ -262,13 +263,6 @@ def _watch_worker(jobs: Queue[dict[str, Any]]) -> None:
             os._exit(ExitCode.STOPPED)
         if not received:
             os._exit(ExitCode.ORPHANED)
-
-
-def _keep_output_for_messages() -> None:
-    """Let what libraries and methods print go where their errors go."""
-    global _messages
-    _messages = os.dup(1)
-    os.dup2(2, 1)
 
 
 def _send(type: str, data: dict[str, Any]) -> None:

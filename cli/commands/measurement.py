@@ -15,8 +15,8 @@ from morph_engine.errors import ConfigError, MorphError
 
 app: typer.Typer = typer.Typer()
 
-TAU = 0.2
-"""Threshold of F1 that the paper uses [dx]."""
+OF_ONE_FRAME = ("b", "points_per_cell_edge", "reference", "frame", "tau")
+"""Parameters of `metrics` that do not go with --path."""
 
 
 @app.command()
@@ -44,6 +44,7 @@ def inspect(
 
 @app.command()
 def metrics(
+    context: typer.Context,
     a: Annotated[
         str, typer.Argument(metavar="A", help="Particles: a mesh, point cloud, result or shape.")
     ],
@@ -58,7 +59,7 @@ def metrics(
         Literal["volume", "surface"], typer.Option(help="Fill meshes, or sample their surface.")
     ] = "volume",
     frame: Annotated[int, typer.Option(help="Frame of a result; negative from the end.")] = -1,
-    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = TAU,
+    tau: Annotated[float, typer.Option(min=0, help="Threshold of F1, in grid units.")] = 0.2,
     path: Annotated[
         bool, typer.Option("--path", help="Measure the path of a result and its end instead.")
     ] = False,
@@ -68,8 +69,7 @@ def metrics(
     from morph_engine.comparison import compare
 
     if path:
-        asked = (b, points_per_cell_edge, reference, frame, tau)
-        if asked != (None, None, "volume", -1, TAU):
+        if any(_is_given(context, name) for name in OF_ONE_FRAME):
             raise ConfigError(
                 "--path measures all frames of one result against its own target.",
                 "Leave out --path, or everything but the result.",
@@ -87,6 +87,12 @@ def metrics(
         workers=-1,
     )
     print_result(measurement.document(), lambda: print_metrics(measurement.values), as_json=as_json)
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    """Whether a parameter has been typed, and is not the default."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _print_path(result: str, *, as_json: bool) -> None:

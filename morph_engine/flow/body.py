@@ -122,7 +122,7 @@ class BodyPath:
         self._step = grid.dx / REFINEMENT
         self._inside = [int(np.count_nonzero(distance < 0)) for distance in (source, target)]
         sizes = [_piece_sizes(distance) for distance in (source, target)]
-        self._least_piece = min(LEAST_PIECE, *(_usual(pieces) / 2 for pieces in sizes))
+        self._least_piece = min(LEAST_PIECE, *(_median_piece(pieces) / 2 for pieces in sizes))
         self._most_pieces = max(int((pieces >= self._least_piece).sum()) for pieces in sizes)
         self._grid = grid
         self._matter = matter
@@ -356,7 +356,7 @@ def _piece_sizes(distance: Field) -> NDArray[np.intp]:
     return np.bincount(pieces.ravel())[1:]
 
 
-def _usual(sizes: NDArray[np.intp]) -> int:
+def _median_piece(sizes: NDArray[np.intp]) -> int:
     """Size of the piece that a point of the shape is in, as the median over all points."""
     ascending = np.sort(sizes)
     return int(ascending[np.searchsorted(np.cumsum(ascending), sizes.sum() / 2)])

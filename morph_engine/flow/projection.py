@@ -137,8 +137,8 @@ class Projection:
             shares: m* and m*' are so far from the first state to the second.
             dt: Time step [s].
             gain: Share of an error of mass that is mended in this step.
-            thinness: What `LEAST_FILLED` and `NEARLY_EMPTY` are multiplied by: below 1 where nodes
-                deep inside hold but a few per cent of `full`.
+            thinness: What `LEAST_FILLED` and `NEARLY_EMPTY` are multiplied by: below 1 where even
+                nodes deep inside hold much less than `full`.
         """
         system, vectors, grid = self._system, self._vectors, self.grid
         least = thinness * LEAST_FILLED

@@ -103,7 +103,6 @@ class Warp:
             self.end - self.end.mean(axis=0), self.start - self.start.mean(axis=0)
         )
         self._rest = self._whole.inv() * Rotation.from_matrix(u @ axes)
-        self._turns_about_origin = False
         self._turns_about_origin = self._sweeps_far()
         self._remainder = self.end - self._placed(self.affine(1.0), 1.0)
         self.at = functools.lru_cache(SHARES_KEPT)(self._controls_at)
@@ -164,29 +163,37 @@ class Warp:
         return laplacian
 
     def _placed(self, affine: Points, share: float) -> Points:
-        """Positions that fit the carried edges best, with their mean at its own place."""
+        """Positions that fit the carried edges best, with their mean where it is by then."""
+        middle = self._turned_middle(share) if self._turns_about_origin else self._middle(share)
+        placed: Points = self._shape(affine) + middle
+        return placed
+
+    def _shape(self, affine: Points) -> Points:
+        """The same about their mean."""
         i, j, weight = self._edges
         edges = self.start[i] - self.start[j]
         carried = np.einsum("eij,ej->ei", (affine[i] + affine[j]) / 2, edges)
         right = np.zeros_like(self.start)
         np.add.at(right, i, weight[:, None] * carried)
         free = scipy.linalg.cho_solve(self._grounded, right)
-        placed: Points = free - free.mean(axis=0) + self._middle(share)
-        return placed
+        shape: Points = free - free.mean(axis=0)
+        return shape
 
     def _middle(self, share: float) -> Points:
-        """The mean of the positions after a share of the way."""
+        """The mean of the controls on a straight line."""
+        middle: Points = (1 - share) * self.start.mean(axis=0) + share * self.end.mean(axis=0)
+        return middle
+
+    def _turned_middle(self, share: float) -> Points:
+        """The mean of the controls turned about the origin as the shapes are."""
         begin, end = self.start.mean(axis=0), self.end.mean(axis=0)
-        if not self._turns_about_origin:
-            straight: Points = (1 - share) * begin + share * end
-            return straight
-        whole = Rotation.from_rotvec(share * self._whole.as_rotvec())
-        turned: Points = whole.apply(begin) + share * (end - self._whole.apply(begin))
-        return turned
+        turn = Rotation.from_rotvec(share * self._whole.as_rotvec())
+        middle: Points = turn.apply(begin) + share * (end - self._whole.apply(begin))
+        return middle
 
     def _sweeps_far(self) -> bool:
-        """Whether controls are much farther from the origin on the way than at its ends."""
-        on_the_way = [self._placed(self.affine(share), share) for share in SWEEP_SHARES]
+        """Whether a straight mean takes controls much farther from the origin than its ends do."""
+        on_the_way = (self._shape(self.affine(s)) + self._middle(s) for s in SWEEP_SHARES)
         ends = _farthest(self.start), _farthest(self.end)
         return max(map(_farthest, on_the_way)) > LARGEST_SWEEP * max(ends)
 

@@ -52,7 +52,8 @@ STEPS = 4
 """Time steps per frame to which the gain and the firmness of the surface refer."""
 
 SPREAD = 4.0
-"""From this growth of the volume on matter counts as thin everywhere."""
+"""Growth of the volume from which on matter is thin everywhere: what a node may hold and still
+count goes down with it."""
 
 TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried [dx]."""

@@ -67,10 +67,10 @@ class ApiKeyStore:
             changed = {"digest": digest, "scopes": scope}
             connection.execute(sa.update(KeyRow).where(KeyRow.name == name).values(changed))
 
-    def has(self, name: str) -> bool:
-        """Whether there is a key of this name at this moment."""
+    def has(self, digest: str) -> bool:
+        """Whether there is a key whose secret has this digest, at this moment."""
         with self._engine.connect() as connection:
-            found = connection.execute(sa.select(KeyRow.name).where(KeyRow.name == name))
+            found = connection.execute(sa.select(KeyRow.name).where(KeyRow.digest == digest))
             return found.first() is not None
 
     def remove(self, name: str) -> bool:

@@ -19,7 +19,7 @@ import httpx
 import pytest
 import trimesh
 
-from tests.conftest import MESHES
+from tests.conftest import MESHES, extraction_filter
 from tests.core_environment import MOST_DISTRIBUTIONS, make_core_environment, site_packages_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="paths and processes as of POSIX")
@@ -126,7 +126,7 @@ def test_an_sdist_holds_what_make_needs_and_gives_the_same_wheel(wheel, tmp_path
     """Every committed file but the links, which an editable install makes."""
     sdist = build("sdist", ROOT, tmp_path / "sdist")
     with tarfile.open(sdist) as archive:
-        archive.extractall(tmp_path / "unpacked", **_extraction_filter())
+        archive.extractall(tmp_path / "unpacked", **extraction_filter())
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     for name in ("Makefile", "requirements.lock", "tests/conftest.py", "docs/api.md", ".ci/run"):
         assert (unpacked / name).is_file()
@@ -422,11 +422,6 @@ def _oldest_allowed(interpreter: Path) -> str:
          "lowest-direct", "--extra", "dev", "--python", interpreter, "pyproject.toml"],
         cwd=ROOT, check=True, capture_output=True, text=True,
     ).stdout  # fmt: skip
-
-
-def _extraction_filter() -> dict[str, str]:
-    """What newer Pythons want to be told about an archive that one trusts."""
-    return {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
 
 
 def _find_python(version: str) -> Path:

@@ -10,7 +10,7 @@ from tests.patience import PATIENCE
 
 PRINTING = """
 from chamfer_morph.worker import engine_process
-engine_process._keep_output_for_messages()
+engine_process._messages = engine_process.keep_output()
 print(0.12)
 engine_process._send("frame", {"frame": 1})
 """

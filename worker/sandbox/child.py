@@ -20,7 +20,7 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.sandbox import landlock
 from chamfer_morph.worker.sandbox.network import leave_network
 from chamfer_morph.worker.sandbox.runner import Answer, Limits
-from morph_engine.child_process import exit_with_parent
+from morph_engine.child_process import exit_with_parent, keep_output
 from morph_engine.errors import MorphError
 
 ENGINE_IMPORTS = ("igl", "scipy.spatial", "scipy.sparse.csgraph")
@@ -38,8 +38,7 @@ def main(module: str) -> None:
     limits = Limits(**request["limits"])
     landlock.confine(map(Path, limits.reads), map(Path, limits.writes))
     exit_with_parent(ExitCode.ORPHANED)
-    channel = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no part of the answer
+    channel = os.fdopen(keep_output(), "wb")
 
     def send(message: dict[str, Any], binary: bytes = b"") -> None:
         channel.write(to_json(message) + b"\n" + binary)

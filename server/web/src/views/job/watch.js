@@ -37,12 +37,8 @@ export class Watch {
     const job = await get(`/jobs/${this.jobId}`, { signal: this.signal });
     if (turn < this.#answered) return this.job; // a later answer was quicker
     this.#answered = turn;
-    if (this.job && lives(this.job.state) && lives(job.state)) {
-      const told = Math.max(job.progress.frame, this.#rows.size); // events may be quicker, too
-      job.progress = { ...job.progress, frame: told };
-    } else if (job.progress.frame === 0) {
-      this.#rows.clear(); // it begins anew
-    }
+    if (this.job && lives(this.job.state) && lives(job.state)) this.#advance(job);
+    else if (job.progress.frame === 0) this.#rows.clear(); // it begins anew
     this.job = job;
     this.heard.onJob(this.job);
     return this.job;
@@ -126,14 +122,21 @@ export class Watch {
     this.telling ??= requestAnimationFrame(() => {
       this.telling = undefined;
       if (this.signal.aborted) return;
-      const rows = [...this.#rows.values()].sort((a, b) => a.frame - b.frame);
-      const { progress } = this.job;
-      if (rows.length > progress.frame) {
-        this.job.progress = { ...progress, frame: rows.length, metrics: rows.at(-1) };
-        this.heard.onJob(this.job);
-      }
-      this.heard.onRows(rows);
+      if (this.#advance(this.job)) this.heard.onJob(this.job);
+      this.heard.onRows(this.#sorted());
     });
+  }
+
+  /** Let a job have the frames that events have told of, which may be quicker than answers. */
+  #advance(job) {
+    const rows = this.#sorted();
+    if (rows.length <= job.progress.frame) return false;
+    job.progress = { ...job.progress, frame: rows.length, metrics: rows.at(-1) };
+    return true;
+  }
+
+  #sorted() {
+    return [...this.#rows.values()].sort((a, b) => a.frame - b.frame);
   }
 
   /** Progress, place in the queue and time left, which no event tells. */
