@@ -109,6 +109,12 @@ def test_metrics_of_a_path_need_a_result():
     assert_refused(morph("metrics", "sphere", "--path"), "sphere")
 
 
+@pytest.mark.parametrize("more", [["star"], ["--frame", "-1"], ["--tau", "0.2"]])
+def test_metrics_of_a_path_take_nothing_else(more):
+    """Also what would be the default: all frames are measured against the run's own target."""
+    assert_refused(morph("metrics", "a.vtkhdf", *more, "--path"), "--path")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [

@@ -25,6 +25,24 @@ def test_rows_are_compared_with_those_before(tmp_path: Path) -> None:
     assert found["step"][-1].unit == "x"
 
 
+def test_counts_of_faults_may_be_zero(tmp_path: Path) -> None:
+    """None after none is no change; one after none is as bad as can be."""
+    file = tmp_path / "history.jsonl"
+    for count, change in ((0, None), (0, 1), (1, float("inf"))):
+        history.record([Measurement("faults", count, 0, "")], file)
+        found = history.entries(file.read_text().splitlines())
+        assert history.change(found["faults"]) == change
+
+
+def test_databases_are_not_compared(tmp_path: Path) -> None:
+    """A slower one makes nothing worse."""
+    file = tmp_path / "history.jsonl"
+    for database, seconds in (("SQLite", 1.0), ("Postgres", 3.0)):
+        history.record([Measurement("submit", seconds, 6.0, "s")], file, database=database)
+    found = history.entries(file.read_text().splitlines())
+    assert history.change(found["submit"]) is None
+
+
 def test_rows_without_a_number_are_left_out(tmp_path: Path) -> None:
     """As of a peer that is not here."""
     file = tmp_path / "history.jsonl"

@@ -10,11 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from chamfer_morph.cli.doctor import check_object_store
+from chamfer_morph.worker.liveness import get_on, gets_on
 from chamfer_morph.worker.object_store.bucket import Bucket, ObjectChangedError
 from chamfer_morph.worker.object_store.job_mirror import JobMirror
 from chamfer_morph.worker.object_store.manifest import Manifest
 from chamfer_morph.worker.object_store.shared_storage import SharedStorage
-from chamfer_morph.worker.storage import OwnershipLostError, StoreUnavailableError
+from chamfer_morph.worker.settings import Settings
+from chamfer_morph.worker.storage import (
+    OwnershipLostError,
+    StoreUnavailableError,
+    open_storage,
+)
 from morph_engine.errors import ConfigError
 from tests.object_store import BUCKET, Link, s3_server
 
@@ -109,6 +116,43 @@ def test_service_whose_store_does_not_answer(tmp_path: Path) -> None:
     outcome = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert outcome.returncode == 2
     assert "object store does not answer" in outcome.stderr and "127.0.0.1:9" in outcome.stderr
+
+
+@pytest.mark.parametrize("fault", ["no replacement", "If-Match", "If-None-Match"])
+def test_the_doctor_notices_stores_without_conditional_writes(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    """Each kind by itself; a real store is fine."""
+    settings = Settings(
+        _env_file=None, data_dir=tmp_path, object_store=f"s3://{BUCKET}/{tmp_path.name}"
+    )
+    assert check_object_store(settings).verdict == "ok"
+    replace = Bucket.replace
+
+    def careless(self: Bucket, key: str, data: bytes, etag: str | None) -> str:
+        if fault == "no replacement" and etag is not None:
+            raise ObjectChangedError(key)
+        if fault == ("If-Match" if etag is not None else "If-None-Match"):
+            self.put(key, data)
+            return self.get_unless(key, None)[1]  # type: ignore[index]
+        return replace(self, key, data, etag)
+
+    monkeypatch.setattr(Bucket, "replace", careless)
+    found = check_object_store(settings)
+    assert found.verdict == "fault"
+    assert ("ETag" if fault == "no replacement" else fault) in found.text
+    assert bucket.keys("probe/") == []
+
+
+def test_processes_of_a_shared_store_show_that_they_live(bucket: Bucket, tmp_path: Path) -> None:
+    """Where nothing has made their folder yet, as in a container of their own."""
+    settings = Settings(
+        _env_file=None, data_dir=tmp_path / "data", object_store=f"s3://{BUCKET}/{tmp_path.name}"
+    )
+    open_storage(settings, "janitor")
+    assert not gets_on(settings, "janitor")
+    get_on(settings, "janitor")
+    assert gets_on(settings, "janitor")
 
 
 def test_store_that_does_not_answer(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> None:
