@@ -81,6 +81,16 @@ def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
     assert cluster.storage.job_dir(second).joinpath("log.txt").exists()
 
 
+def test_a_job_takes_the_spare_process_that_still_gets_ready(cluster, undisturbed):
+    """It leaves the rest of that and begins; a second process would only take the cores from it."""
+    worker = cluster.worker()
+    cluster.wait_until(lambda: cluster.spare(worker) is not None, "a spare engine")
+    spare = cluster.spare(worker)
+    job = cluster.submit()
+    assert cluster.engine(worker) == spare
+    cluster.require_sound(job, undisturbed, kills=0)
+
+
 @pytest.mark.faults
 def test_a_dead_spare_is_replaced(cluster, undisturbed):
     """A job that comes meanwhile has a process of its own."""

@@ -62,7 +62,7 @@ class Engine:
         self.frames: int = 0
         self.last_message_at: float = time.monotonic()
         self.peak_memory: int = 0
-        self._device: str | None = None  # once it is ready
+        self._device: str | None = None  # that it has started Taichi on, once it is ready
         self._spans: EngineSpans | None = None
         likely = json.dumps({"method": method, "extent": extent})
         engine = (str(threads), str(storage.kept_results), likely, log_format)
@@ -87,10 +87,13 @@ class Engine:
         """Whether the process is gone."""
         return self._process.poll() is not None
 
-    def is_ready_for(self, spec: JobSpec) -> bool:
-        """Whether it is ready, and for what a job needs."""
-        fits = spec.config.precision == "float32" and spec.device in ("auto", self._device)
-        return self._device is not None and fits and not self.ended
+    def suits(self, spec: JobSpec) -> bool:
+        """Whether it lives, and is not ready for something other than what a job needs.
+
+        While it gets ready it suits a job for any device: it leaves the rest, and begins.
+        """
+        fits_device = self._device is None or spec.device in ("auto", self._device)
+        return spec.config.precision == "float32" and fits_device and not self.ended
 
     def assign(
         self, job_dir: Path, attempt: int, memory_bytes: int, spans: EngineSpans | None = None

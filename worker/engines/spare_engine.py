@@ -72,11 +72,11 @@ class SpareEngine:
                 self._spare = self._new_engine(method=self._method, extent=extent)
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
-        """A process for a job: the spare one if it is ready for that, or else a new one."""
+        """A process for a job: the spare one if that suits it, ready or not, or else a new one."""
         with self._lock:
             self._method = spec.config.method.name
             self._enough_frames = NEARLY_DONE * spec.frame_count
-            if self._spare and self._spare.is_ready_for(spec):
+            if self._spare and self._spare.suits(spec):
                 self._taken, self._spare = self._spare, None
             else:
                 with (job_dir / "log.txt").open("ab") as messages:
