@@ -170,8 +170,8 @@ def measure_path(result: Trajectory | str | Path, leg: int = 0) -> dict[str, flo
         frames = [record.source_points, *places]
         corrections = run.metrics.get("correction")
         det_f = run.det_f(int(own[-1])) if leg == 0 else None  # F begins with the first leg
-    share_of_way = record.config.method.share_of_way
-    shares = np.array([share_of_way(k, record.config.frames) for k in range(len(frames))])
+    share_of_change = record.config.method.share_of_change
+    shares = np.array([share_of_change(k, record.config.frames) for k in range(len(frames))])
     apart = record.config.spacing * np.cbrt(1 - shares + shares * record.ratio)
     settled = None
     if corrections is not None:  # on average over the particles of each frame

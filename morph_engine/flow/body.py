@@ -45,7 +45,7 @@ SAMPLES = 21
 """Shares at which the change of the body is measured."""
 
 LEAST_CHANGE = 0.05
-"""What the body counts as changed over the whole of its way, whatever it does."""
+"""What the body counts as changed from source to target, whatever it does."""
 
 AROUND = 2
 """Grid cells around the body in which its level is given; from 1.5 on it is a distance to nodes."""

@@ -29,7 +29,7 @@ MARGIN = 3.0
 """Distances are blended so far from the controls [dx]; the body ends nearer to them."""
 
 SAMPLES = 11
-"""Shares of the way at which is looked where the controls are."""
+"""Shares of the change at which the controls are looked up."""
 
 FAR = 1e3
 """Distance that stands for all beyond [dx]."""

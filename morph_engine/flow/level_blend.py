@@ -1,4 +1,4 @@
-"""What lies between two shapes: a blend of their signed distances, rounded on its way.
+"""What lies between two shapes: a blend of their signed distances, rounded in between.
 
 At the share s the level is (1 - s) f(phi_0) + s f(phi_1), of the signed distances phi_0 and phi_1::
 
@@ -27,7 +27,7 @@ SKIN = 1.6
 """w: depth at which 63 % of that is reached [lattice steps]."""
 
 PURE = 0.025
-"""Share of the way, from either end, before which limbs and their order count less."""
+"""Share of the change, from either end, before which limbs and their order count less."""
 
 FARTHEST = 6.0
 """Levels beyond this do not tell where a smooth body ends [dx]."""
@@ -67,7 +67,7 @@ class Blend:
         self._limbs = limbs_of(source, step, tension) if tension else None
 
     def at(self, share: float) -> Field:
-        """The level after a share of the way; its zero set is not at the scheduled volume yet."""
+        """The level at a share of the change; its zero set has not the scheduled volume yet."""
         s = np.float32(share)
         between = min(1.0, share * (1 - share) / PURE)
         level, last = self._ends(between)

@@ -21,7 +21,7 @@ Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 LEAVING, ARRIVING = 25.0, 50.0
-"""How far a limb goes, or comes, over the whole way, at most [dx]."""
+"""How far a limb retracts, or grows, in all, at most [dx]."""
 
 LATEST = 0.95
 """Nothing waits longer than this share of the time that it has left."""

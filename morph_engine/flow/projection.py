@@ -171,7 +171,7 @@ class Projection:
 
 @ti.func
 def wanted(mass: ti.template(), next_mass: ti.template(), share: float, i: int):
-    """What node i shall hold at a share of the way between two states."""
+    """What node i shall hold at a share of the time between two states."""
     return (1 - share) * mass[i] + share * next_mass[i]
 
 
@@ -179,7 +179,7 @@ def wanted(mass: ti.template(), next_mass: ti.template(), share: float, i: int):
 def most_wanted(
     mass: ti.template(), next_mass: ti.template(), share: float, next_share: float, i: int
 ):
-    """The larger of what node i shall hold at two shares of the way."""
+    """The larger of what node i shall hold at two shares of that time."""
     now = wanted(mass, next_mass, share, i)
     return ti.max(now, wanted(mass, next_mass, next_share, i))
 

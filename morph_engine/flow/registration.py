@@ -9,7 +9,7 @@ an elastic cloud, while the plan gets sharper (Feydy et al. 2019 for what draws 
 Forms are compared without their bends, so that a body bends to another where it can, and is torn
 only where it must. There are many local minima, so coarser clouds are moved first, from several
 starts: the affine motions between the moments of both forms after each rotation of a cube. The
-best has the least strain, bending and way. At last the images are carried from the target's form
+best has the least strain, bending and motion. At last the images are carried from the target's form
 to the target as it is.
 """
 
@@ -53,8 +53,8 @@ CARRIED_ADHERENCE = 20.0
 BENDING_WEIGHT = 5.0
 """Of the bending beside the strain, where starts are compared."""
 
-WAY_WEIGHT = 2.0
-"""Of the way beside the strain."""
+MOTION_WEIGHT = 2.0
+"""Of the motion beside the strain."""
 
 LANDMARK_WEIGHT = 5.0
 """Of what landmarks are apart at the start."""
@@ -85,7 +85,7 @@ class Registration:
 
 
 class _Cloud:
-    """Controls of the source on their way through the target's form."""
+    """Controls of the source as they move through the target's form."""
 
     def __init__(self, source: Controls, target: Controls, growth: float) -> None:
         self.source = source
@@ -149,8 +149,8 @@ class _Cloud:
     def cost(self, start: Points, positions: Points) -> float:
         """What a start is judged by, and where it has led.
 
-        Where there are landmarks, the way that they are apart at the start takes the place of that
-        of all controls.
+        Where there are landmarks, their distances at the start take the place of the motion of all
+        controls.
         """
         source, target = self.source, self.target
         bending = source.weights @ self.elastic.bending(positions) / self.spacing**2
@@ -164,8 +164,8 @@ class _Cloud:
         width = STARTING[1] * self.spacing
         plan, _ = transport(positions, target.form, source, target, width)
         there = plan @ target.points - target.weights @ target.points
-        way = source.weights @ np.square(there - here).sum(axis=1)
-        return bent + WAY_WEIGHT * float(way / size)
+        motion = source.weights @ np.square(there - here).sum(axis=1)
+        return bent + MOTION_WEIGHT * float(motion / size)
 
 
 def register(source: Controls, target: Controls, growth: float) -> Registration:

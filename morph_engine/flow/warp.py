@@ -34,7 +34,7 @@ SMOOTHINGS = 2
 LEAST_STRETCH = 0.15
 
 SHARES_KEPT = 8
-"""Shares of the way at which the controls are kept: those of the frames being made."""
+"""Shares of the change at which the controls are kept: those of the frames being made."""
 
 LARGEST_SWEEP = 1.2
 """Where the mean of the controls goes straight, the farthest may be so many times as far from the
@@ -80,8 +80,8 @@ class Warp:
     Attributes:
         start: The controls in the source [dx], shape [k, 3].
         end: Their images [dx], shape [k, 3].
-        at: Tells where the controls are after a share of the way [dx], shape [k, 3], and the affine
-            motions there, shape [k, 3, 3]; the last shares asked for are kept.
+        at: Tells where the controls are after a share of the change [dx], shape [k, 3], and the
+            affine motions there, shape [k, 3, 3]; the last shares asked for are kept.
     """
 
     def __init__(self, source: Controls, registration: Registration) -> None:
@@ -113,13 +113,13 @@ class Warp:
             return self._placed(affine, share) + share * self._remainder, affine
 
     def affine(self, share: float) -> Points:
-        """The affine motion around each control after a share of the way, shape [k, 3, 3]."""
+        """The affine motion around each control after a share of the change, shape [k, 3, 3]."""
         stretch = np.exp(share * self._logarithm)[:, :, None] * self._axes
         affine: Points = self.rotations(share).as_matrix() @ self._axes.transpose(0, 2, 1) @ stretch
         return affine
 
     def rotations(self, share: float) -> Rotation:
-        """Rotations of the controls after a share of the way."""
+        """Rotations of the controls after a share of the change."""
         whole = Rotation.from_rotvec(share * self._whole.as_rotvec())
         return whole * Rotation.from_rotvec(share * self._rest.as_rotvec())
 
@@ -128,7 +128,7 @@ class Warp:
         return self._followed(points, self.start)
 
     def ends(self, points: Points, share: float) -> tuple[Points, Points]:
-        """Where points at a share of the way come from and where they belong, each shape [n, 3]."""
+        """Where points at a share of the change come from, and belong, each shape [n, 3]."""
         now, affine = self.at(share)
         followed = self._followed(points, now)
         back = np.linalg.inv(affine).astype(np.float64)
@@ -138,7 +138,7 @@ class Warp:
         )
 
     def forward(self, followed: Followed, share: float) -> Points:
-        """Where points of the source are after a share of the way [dx], shape [n, 3]."""
+        """Where points of the source are after a share of the change [dx], shape [n, 3]."""
         return followed.carried(*self.at(share))
 
     def _followed(self, points: Points, controls: Points) -> Followed:

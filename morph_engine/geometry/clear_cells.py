@@ -1,6 +1,6 @@
 """Points in cells of space that a surface does not cut, where one winding number serves them all.
 
-Along a way that crosses no triangle, the winding number changes by the open edges of a mesh alone:
+Along a path that crosses no triangle, the winding number changes by the open edges of a mesh alone:
 its gradient is at most the sum of L / (4 pi d^2) over them, of their lengths L and distances d (the
 law of Biot and Savart). In a mesh without open edges it does not change at all.
 """

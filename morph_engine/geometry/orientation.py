@@ -1,4 +1,4 @@
-"""Faces that look the other way than their neighbours, as scans and merged models have them."""
+"""Faces that face against their neighbours, as found in scans and merged models."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Placement(BaseModel, frozen=True):
         return (self.source, *self.via, self.target)
 
     def to_user(self, share: float, leg: int = 0) -> Similarity:
-        """Grid units to the user's coordinates, at a share of the way of a leg.
+        """Grid units to the user's coordinates, at a share of a leg.
 
         These are the source's at 0 and the target's at 1, or those of the shapes that the leg leads
         from and to. Between them the scale changes by equal factors and the place by equal steps.

@@ -53,7 +53,7 @@ def inverse(rotation: Quaternion) -> Quaternion:
 
 
 def between(first: Quaternion, second: Quaternion, share: float) -> Quaternion:
-    """The rotation at a share of the shortest way between two, at an even pace."""
+    """The rotation at a share of the shortest path between two, at an even pace."""
     if first == second:
         return first
     a, b = np.array(first), np.array(second)

@@ -68,9 +68,9 @@ class Surface:
         """Whether every edge joins exactly two faces whose orientations agree."""
         start = self.faces.astype(np.int64)
         end = np.roll(start, -1, axis=1)
-        ways = np.unique(start * len(self.vertices) + end)
+        there = np.unique(start * len(self.vertices) + end)
         back = np.unique(end * len(self.vertices) + start)
-        return len(ways) == start.size and np.array_equal(ways, back)
+        return len(there) == start.size and np.array_equal(there, back)
 
     @property
     def bodies(self) -> int:

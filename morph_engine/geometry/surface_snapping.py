@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 REACH_OVER_H = 1.0
 """Vertices farther from the mesh than this many spacings stay where they are, so that what is
-missing, or too much, is still to be seen; those nearer than half of it go all of the way."""
+missing, or too much, is still to be seen; those nearer than half of it go all the way."""
 
 ADHERENCE = 0.3
 """Weight of a vertex's own nearest point against planes through those of its neighbours. At 0.1

@@ -136,9 +136,9 @@ class SurfaceTracker:
     def _slid(self, vertices: Floats) -> Floats:
         """Vertices moved towards the middle of their neighbours, but not along their normals."""
         normals = vertex_normals(vertices, self._faces)
-        way = self._middle @ vertices - vertices
-        way -= np.einsum("vi,vi->v", way, normals)[:, None] * normals
-        slid: Floats = vertices + SLIDING * way
+        move = self._middle @ vertices - vertices
+        move -= np.einsum("vi,vi->v", move, normals)[:, None] * normals
+        slid: Floats = vertices + SLIDING * move
         return slid
 
     def _stepped(
@@ -150,10 +150,10 @@ class SurfaceTracker:
         _, near = goal.tree.query(vertices, k=CANDIDATES, workers=-1)
         facing = np.einsum("vki,vi->vk", goal.normals[near], normals)
         first = np.take_along_axis(near, (facing > FACING).argmax(axis=1)[:, None], axis=1)[:, 0]
-        way, along = goal.points[first] - vertices, goal.normals[first]
-        near_enough = np.linalg.norm(way, axis=1) < reach
+        offset, along = goal.points[first] - vertices, goal.normals[first]
+        near_enough = np.linalg.norm(offset, axis=1) < reach
         found = (facing > FACING).any(axis=1) & (near_enough | (facing[:, 0] > FACING_FAR))
-        step = np.clip(np.einsum("vi,vi->v", way, along), -reach, reach)
+        step = np.clip(np.einsum("vi,vi->v", offset, along), -reach, reach)
         moved = vertices.copy()
         moved[found] += step[found, None] * along[found]
         a, b, c = np.moveaxis(moved[self._faces], 1, 0)
@@ -186,7 +186,7 @@ class _Goal:
 
 
 def mean_distance(one: Surface, other: Surface) -> float:
-    """How far two surfaces are apart [dx]: the mean way from corners to planes, of both ways.
+    """How far two surfaces are apart [dx]: from faces to planes on average, in both directions.
 
     Faces count by the distance of their centres from the other surface.
     """

@@ -59,7 +59,7 @@ TENSION = 1.0
 """Surface tension where none is asked for and parts are not carried [dx]."""
 
 SETTLING_BEGINS = 0.985
-"""Share of the way from which particles spread more evenly."""
+"""Share of the change from which particles spread more evenly."""
 
 REBUILD_EVERY = 10
 """Frames after which the index of nearest neighbours is built anew: particles that are neighbours
@@ -148,7 +148,7 @@ class FlowOptions(MpmOptions):
         edge, extent = grid_size(self, config, radius=radius, ratio=ratio)
         return nodes_per_axis(extent * edge, edge) ** 3
 
-    def share_of_way(self, frame: float, frames: int) -> float:
+    def share_of_change(self, frame: float, frames: int) -> float:
         """Begins and ends at rest."""
         return smoothstep(frame / ((1 - self.rest) * frames))
 
@@ -290,7 +290,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._matches.update(self._positions)
 
     def _share(self, frame: int) -> float:
-        return self.options.share_of_way(frame, self.problem.config.frames)
+        return self.options.share_of_change(frame, self.problem.config.frames)
 
     def _distance(
         self, mesh: Mesh | None, points: NDArray[np.float32], axis: NDArray[np.float64]
@@ -408,7 +408,7 @@ class Flow(MpmMethod[FlowOptions]):
         return 0
 
     def _thinness(self, share: float) -> float:
-        """How much less than usual a node may hold and still count, at a share of the way."""
+        """How much less than usual a node may hold and still count, at a share of the change."""
         source, target = self._path.volumes
         growth = (1 - share) + share * target / source
         return min(1.0, SPREAD / growth)
@@ -431,7 +431,7 @@ class Flow(MpmMethod[FlowOptions]):
             )
 
     def _spacing(self, share: float) -> float:
-        """Lattice spacing of the particles at a share of the way [cells]."""
+        """Lattice spacing of the particles at a share of the change [cells]."""
         first, last = self._path.volumes
         growth = float(np.cbrt(1 - share + share * last / first))
         return growth * self.problem.config.spacing / self._edge

@@ -79,7 +79,7 @@ class MethodOptions(Section):
         """
         return 0
 
-    def share_of_way(self, frame: float, frames: int) -> float:
+    def share_of_change(self, frame: float, frames: int) -> float:
         """Share of the change from source to target that is to be made after so many frames of all.
 
         Even steps, where a method has no schedule of its own.

@@ -31,7 +31,7 @@ STEEPEST = 1.5
 class TransportOptions(MpmOptions):
     """Matter is steered to destinations that fill the target evenly, by optimal transport.
 
-    Destinations of the particles and the way there: docs/transport.md.
+    How destinations are chosen and particles get there: docs/transport.md.
     """
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -64,7 +64,7 @@ class TransportOptions(MpmOptions):
         description="Largest movement of a particle per step beyond the motion of the grid [h].",
     )
 
-    def share_of_way(self, frame: float, frames: int) -> float:
+    def share_of_change(self, frame: float, frames: int) -> float:
         """Begins and ends at rest."""
         return smoothstep(frame / ((1 - self.rest) * frames))
 
@@ -73,7 +73,7 @@ class Transport(MpmMethod[TransportOptions]):
     """Optimal transport first, then motion that the grid shares.
 
     Before the first frame each particle gets a destination of its own, such that destinations
-    fill the target evenly and the sum of squared ways is nearly the least possible. On its way
+    fill the target evenly and the sum of squared distances is nearly the least possible. On the way
     matter moves as one: velocities pass through the grid, where neighbours share them, and pressure
     acts against changes of volume. What the grid is too coarse for is mended by small moves.
     """
@@ -89,7 +89,7 @@ class Transport(MpmMethod[TransportOptions]):
         self._frame_seconds = time.dt * time.transitions_per_frame
 
     def advance(self, frame: int) -> FrameOutcome:
-        """Carry every particle along the next part of its way.
+        """Carry every particle along the next part of its path.
 
         Raises:
             SimulationError: A particle is lost.
@@ -109,7 +109,7 @@ class Transport(MpmMethod[TransportOptions]):
         limit = options.correction * self.problem.config.spacing
         for step in range(steps):
             moment = frame + (step + 1) / steps
-            share = options.share_of_way(moment, self.problem.config.frames)
+            share = options.share_of_change(moment, self.problem.config.frames)
             here, there = simulation.layers
             mpm.steering.steer(here.x, here.v, here.F, begin, destination, share, simulation.dt)
             faults = simulation.forward()
@@ -124,8 +124,8 @@ class Transport(MpmMethod[TransportOptions]):
         self._matches.rebuild(last.x)
         self._matches.update(last.x)
         self._keep(last, order)
-        way = self.problem.source + share * (goal - self.problem.source)
-        squared = np.sum((way - self._particles.x) ** 2, axis=1, dtype=np.float64)
+        place = self.problem.source + share * (goal - self.problem.source)
+        squared = np.sum((place - self._particles.x) ** 2, axis=1, dtype=np.float64)
         numbers = {
             "loss_transport": float(np.mean(squared)),
             "correction": float(corrected.to_numpy().mean(dtype=np.float64)),

@@ -22,7 +22,7 @@ NODE_CELL_OVER_H = 2.0
 """Edge of the cells of which each gives one node to the graph of shortest paths."""
 
 EDGE_OVER_H = 5.0
-"""Longest edge of that graph: some 65 edges a node, whose lengths are within 2 % of the way."""
+"""Longest edge of that graph: some 65 edges a node, with lengths within 2 % of the distance."""
 
 
 INSIDE_OVER_H = 2.5
@@ -52,7 +52,7 @@ def path_metrics(
             Particles that are not finite in all of them take no part.
         spacing: Lattice spacing h [dx]; or of each frame, where particles end farther apart or
             closer, shape [frames].
-        shares: Share of the way at each frame, 0 to 1, for methods that ease or rest, shape
+        shares: Share of the change at each frame, 0 to 1, for methods that ease or rest, shape
             [frames]; even steps when not given.
         settled: Length of the moves that the simulation did not make [dx], shape [n].
         det_f: det F of the particles in the last frame [ratio], shape [n].
@@ -99,7 +99,7 @@ def over_schedule(
     """Values of frames over their schedule, shape [frames], float64.
 
     The schedule runs linearly from the first value to the last: over the frame index, or over the
-    shares of the way (0 to 1, shape [frames]) of a method that eases or rests.
+    shares of the change (0 to 1, shape [frames]) of a method that eases or rests.
     """
     series = np.asarray(values, np.float64)
     share = np.linspace(0, 1, len(series)) if shares is None else np.asarray(shares, np.float64)
@@ -225,8 +225,8 @@ def settled_share(frames: Sequence[npt.ArrayLike], settled: npt.ArrayLike) -> fl
         settled: Length of the moves made beyond the simulation by each particle [dx], shape [n].
     """
     places = [np.asarray(frame, np.float64) for frame in frames]
-    way = sum(float(np.linalg.norm(b - a, axis=1).sum()) for a, b in pairwise(places))
-    return float(np.sum(settled)) / way if way else 0.0
+    length = sum(float(np.linalg.norm(b - a, axis=1).sum()) for a, b in pairwise(places))
+    return float(np.sum(settled)) / length if length else 0.0
 
 
 def geodesic_distortion(
@@ -325,15 +325,15 @@ def shortest_paths(
     inside = np.ones(len(edges), bool)
     stops = int(EDGE_OVER_H)
     for share in np.arange(1, stops) / stops:
-        way = a[inside] + share * (b - a)[inside]
-        reach = tree.query(way, distance_upper_bound=COVERING_RADIUS_OVER_H * spacing)[0]
+        passed = a[inside] + share * (b - a)[inside]
+        reach = tree.query(passed, distance_upper_bound=COVERING_RADIUS_OVER_H * spacing)[0]
         inside[inside] = np.isfinite(reach)
     edges, length = edges[inside], np.maximum(length[inside], 1e-12)
     graph = scipy.sparse.coo_array(
         (length, (edges[:, 0], edges[:, 1])), shape=(len(nodes),) * 2
     ).tocsr()
     count = len(landmarks)
-    ways: npt.NDArray[np.float64] = scipy.sparse.csgraph.dijkstra(
+    paths: npt.NDArray[np.float64] = scipy.sparse.csgraph.dijkstra(
         graph, directed=False, indices=np.arange(count)
     )[:, :count]
-    return ways
+    return paths

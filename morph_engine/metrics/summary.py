@@ -43,8 +43,8 @@ def _worst(result: Trajectory) -> dict[str, float]:
 def _surface(result: Trajectory) -> dict[str, float]:
     """How far the surface of the last frame of matter is from the target's, `surface_mean` [dx].
 
-    One way, unlike `independent.surface_metrics`, and with the lattice spacing of the source: the
-    records of the reproduction have it so.
+    In one direction, unlike `independent.surface_metrics`, and with the lattice spacing of the
+    source: the records of the reproduction have it so.
     """
     target = result.run.target
     if "det_f_min" not in result.metrics or not isinstance(target, Mesh):

@@ -27,7 +27,7 @@ def transport_plan(
     group: int = 100,
     seed: int = 0,
 ) -> NDArray[np.intp]:
-    """Hand out destinations so that the sum of squared ways is as small as possible.
+    """Hand out destinations so that the sum of squared distances is as small as possible.
 
     Args:
         source: Where particles are [dx], shape [n, 3], float64.

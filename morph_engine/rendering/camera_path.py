@@ -62,7 +62,7 @@ class CameraKey:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """The way of the eye.
+    """The path of the eye.
 
     Attributes:
         move: ``still``; ``turn``, once around at one height; ``orbit``, once around, and up and
