@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections.abc import Sequence
 from itertools import takewhile
 
 from morph_engine.errors import ConfigError, DeviceError
@@ -45,6 +46,17 @@ def chosen_gpus(text: str) -> list[str]:
     if not listed:
         raise DeviceError("No NVIDIA GPU was found.", "Use --slots for the CPU.")
     return listed
+
+
+def slots_of(gpus: Sequence[str], first: int = 0) -> dict[int, str]:
+    """The GPU of each worker slot, so that a GPU keeps its slot whichever others are chosen.
+
+    Args:
+        gpus: GPUs as `chosen_gpus` returns them.
+        first: Number of the first slot; a GPU's index is added, or its place where it has none.
+    """
+    have_indices = all(gpu.isdecimal() for gpu in gpus)
+    return {first + (int(gpu) if have_indices else place): gpu for place, gpu in enumerate(gpus)}
 
 
 def _names_gpu(name: str) -> bool:

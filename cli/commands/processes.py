@@ -58,24 +58,17 @@ def worker(
     Workers that die are restarted. Ctrl-C or SIGTERM stops them all; their jobs continue
     elsewhere.
     """
-    from chamfer_morph.cli.gpu_selection import chosen_gpus
+    from chamfer_morph.cli.gpu_selection import chosen_gpus, slots_of
     from chamfer_morph.worker.supervisor import StopSignals, supervise, worker_slot
 
     if slots is not None and gpus is not None:
         raise ConfigError("--slots and --gpus cannot be combined.", "Use only one of them.")
-    chosen = None if gpus is None else chosen_gpus(gpus)
-    count = (slots or 1) if chosen is None else len(chosen)
-    environment = _environment({"DATA_DIR": data_dir, "WORKERS": count})  # they share the cores
-    if chosen is None:
-        processes = [worker_slot(first_slot + number, environment) for number in range(count)]
-    else:
-        processes = [
-            worker_slot(
-                first_slot + (int(gpu) if gpu.isdecimal() else place),
-                environment | {"CUDA_VISIBLE_DEVICES": gpu},
-            )
-            for place, gpu in enumerate(chosen)
-        ]
+    own: dict[int, dict[str, str]] = {first_slot + place: {} for place in range(slots or 1)}
+    if gpus is not None:
+        chosen = slots_of(chosen_gpus(gpus), first_slot)
+        own = {slot: {"CUDA_VISIBLE_DEVICES": gpu} for slot, gpu in chosen.items()}
+    shared = _environment({"DATA_DIR": data_dir, "WORKERS": len(own)})  # they share the cores
+    processes = [worker_slot(slot, shared | settings) for slot, settings in own.items()]
     stop = StopSignals()
     supervise(processes, stop)
     raise typer.Exit(INTERRUPTED if stop.received == signal.SIGINT else 0)

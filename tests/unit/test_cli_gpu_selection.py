@@ -2,7 +2,7 @@
 
 import pytest
 
-from chamfer_morph.cli.gpu_selection import chosen_gpus
+from chamfer_morph.cli.gpu_selection import chosen_gpus, slots_of
 from morph_engine.errors import ConfigError, DeviceError
 
 
@@ -23,6 +23,20 @@ def test_all_gpus_are_those_that_the_user_can_see(monkeypatch, visible, chosen):
     """As for any CUDA program, by index or UUID, up to one that is not there."""
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     assert chosen_gpus("all") == chosen
+
+
+@pytest.mark.parametrize(
+    ("gpus", "slots"),
+    [
+        (["0", "2"], {4: "0", 6: "2"}),
+        (["2"], {6: "2"}),
+        (["GPU-8932f937", "MIG-5c89"], {4: "GPU-8932f937", 5: "MIG-5c89"}),
+        (["1", "GPU-8932f937"], {4: "1", 5: "GPU-8932f937"}),
+    ],
+)
+def test_each_gpu_has_a_slot_of_its_own(gpus, slots):
+    """By its index, from the first slot on, so that the others do not matter."""
+    assert slots_of(gpus, 4) == slots
 
 
 @pytest.mark.parametrize("visible", ["", "-1", "NoDevFiles"])
