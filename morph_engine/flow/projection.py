@@ -128,7 +128,7 @@ class Projection:
         gain: float,
         *,
         thinness: float = 1.0,
-    ) -> None:
+    ) -> float:
         """Change node velocities in place.
 
         Args:
@@ -139,6 +139,10 @@ class Projection:
             gain: Share of an error of mass that is mended in this step.
             thinness: What `LEAST_FILLED` and `NEARLY_EMPTY` are multiplied by: below 1 where even
                 nodes deep inside hold much less than `full`.
+
+        Returns:
+            The largest residual that is left over the largest right-hand side: at most `tolerance`,
+            or more where the iterations did not suffice.
         """
         system, vectors, grid = self._system, self._vectors, self.grid
         least = thinness * LEAST_FILLED
@@ -157,16 +161,17 @@ class Projection:
             *layout,
             grid,
         )
-        limit = self.tolerance * max(largest, 1e-12)
+        scale = max(largest, 1e-12)
         self.iterations_made = 0
         while self.iterations_made < self.iterations:
             first = self.iterations_made == 0
             largest = descend(system, self._levels, vectors, first, *layout)
             self.iterations_made += 1
-            if largest < limit:
+            if largest < self.tolerance * scale:
                 break
         nearly_empty = thinness * NEARLY_EMPTY * self.full
         finish(nodes, system, self._levels, vectors, nearly_empty, dt, grid)
+        return largest / scale
 
 
 @ti.func

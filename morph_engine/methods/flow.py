@@ -216,6 +216,7 @@ class Flow(MpmMethod[FlowOptions]):
         self._speed = 0.0
         self._path_length = 0.0
         self._settled = 0.0
+        self._residual = 0.0
 
     def advance(self, frame: int) -> FrameOutcome:
         """Let the body change and matter flow for one frame.
@@ -250,7 +251,11 @@ class Flow(MpmMethod[FlowOptions]):
         moved = self._moved_by_now() * self._edge
         self._settled += moved
         self._speed = float(geometry.lengths(self._particles.v).max())
-        numbers = {"correction": moved, "dt": self._simulation.dt}
+        numbers = {
+            "correction": moved,
+            "dt": self._simulation.dt,
+            "pressure_residual": self._residual,
+        }
         gap = self._nearest_gap.find(last.x, self.problem.config.spacing / self._edge)
         outcome = self._outcome(np.arange(len(order)), numbers, tuple(events))
         return replace(outcome, gap=gap.to_numpy()[place] * self._edge)
@@ -371,6 +376,7 @@ class Flow(MpmMethod[FlowOptions]):
         body = self._states.box
         self._projection.look_at(body, body.union(self._reach(steps)))
         self._projection.forget()
+        self._residual = 0.0
         self._moved.fill(0)
         self._volume_ratio.fill(1)
         depth = options.depth * self.problem.config.spacing / self._edge
@@ -390,9 +396,10 @@ class Flow(MpmMethod[FlowOptions]):
             self._projection.clear(nodes)
             simulation.to_nodes()
             shares = step / steps, part
-            self._projection.project(
+            residual = self._projection.project(
                 nodes, self._states.masses, shares, simulation.dt, gain, thinness=thinness
             )
+            self._residual = max(self._residual, residual)
             simulation.to_particles()
             left, left_then = (
                 options.rounds - i * options.rounds // steps for i in (step, step + 1)

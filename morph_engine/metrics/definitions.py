@@ -162,6 +162,13 @@ METRICS: dict[str, MetricDefinition] = {
     ),
     # how the frame was computed
     "dt": MetricDefinition("dt", "s", "higher", "time step, halved where a trial failed"),
+    "pressure_residual": MetricDefinition(
+        "max_steps max_k abs(r_k) / max_k abs(b_k)",
+        "ratio",
+        "lower",
+        "largest residual of the pressure of `flow` in the frame over its right-hand side b; 0.01 "
+        "is asked for",
+    ),
     "accepted_steps": MetricDefinition(
         "#{steps taken}", "count", "higher", "control steps of the frame that improved it"
     ),

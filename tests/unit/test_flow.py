@@ -151,8 +151,28 @@ def test_the_pressure_is_found_in_a_few_iterations(radius: float) -> None:
     values[mass > 0, :3] = rng.normal(size=(np.count_nonzero(mass > 0), 3))
     nodes.from_numpy(values)
     projection = Projection(GRID, full=1.0, tolerance=1e-2)
-    projection.project(nodes, [device.upload(mass)] * 2, (0.0, 1.0), 0.05, gain=0.3)
+    masses = [device.upload(mass)] * 2
+    assert projection.project(nodes, masses, (0.0, 1.0), 0.05, gain=0.3) < 1e-2
     assert 0 < projection.iterations_made <= 7
+
+
+def test_what_is_left_of_the_pressure_is_told() -> None:
+    """One iteration leaves more than is asked for, many leave less."""
+    backend.start("cpu", threads=2)
+    ball = ball_distance((0, 0, 0), 5)
+    mass = BodyPath(ball, ball, GRID, reach=4, matter=500).at(0.5).mass.ravel()
+    device = backend.active()
+    values = np.zeros((GRID.node_count, 4), np.float32)
+    values[:, 3] = 0.9 * mass
+    values[mass > 0, 0] = 1
+    left = []
+    for iterations in (1, 100):
+        nodes = device.vectors(GRID.node_count, 4)
+        nodes.from_numpy(values)
+        projection = Projection(GRID, full=1.0, tolerance=1e-3, iterations=iterations)
+        masses = [device.upload(mass)] * 2
+        left.append(projection.project(nodes, masses, (0.0, 1.0), 0.05, gain=0.3))
+    assert left[1] < 1e-3 < left[0]
 
 
 def test_one_thread_or_many_find_the_same_pressure(monkeypatch: pytest.MonkeyPatch) -> None:
