@@ -766,9 +766,9 @@ def test_waves_ask_for_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     project = Projection.project
 
-    def counted(*given: Any, **options: float) -> None:
+    def counted(*given: Any, **options: float) -> float:
         made.append(given)
-        project(*given, **options)
+        return project(*given, **options)
 
     monkeypatch.setattr(Projection, "project", counted)
     stiff = configure(overrides=SMALL | {"method.material.youngs_modulus": 9e5, "frames": 12})
