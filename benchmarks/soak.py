@@ -51,7 +51,7 @@ PATIENCE_SECONDS = 1800.0
 """How long jobs may take together, or one of them where nothing is killed [s]."""
 
 SAMPLING_SECONDS = 3.0
-"""Pause after each measurement of the service, which takes a tenth of a second of a core [s]."""
+"""Pause after each measurement of the service, which itself takes processor time [s]."""
 
 LASTING = ("API", "janitor", "worker", "supervisor")
 LARGEST_GROWTH = 1.1

@@ -67,7 +67,7 @@ class Blend:
         self._limbs = limbs_of(source, step, tension) if tension else None
 
     def at(self, share: float) -> Field:
-        """The level at a share of the change; its zero set has not the scheduled volume yet."""
+        """The level at a share of the change, before it is fitted to the scheduled volume."""
         s = np.float32(share)
         between = min(1.0, share * (1 - share) / PURE)
         level, last = self._ends(between)

@@ -1,4 +1,4 @@
-"""Like parts of two shapes: which belong together, and how matter follows them on its way."""
+"""Like parts of two shapes: which belong together, and how matter follows them."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class LikeParts:
 
         Args:
             positions: Where they are [dx], shape [n, 3].
-            share: Share of the way before the frame.
+            share: Share of the change before the frame.
             next_share: And after it.
         """
         here = self._carried if share == self._carried_share else self._carry(share)
@@ -104,7 +104,7 @@ class LikeParts:
         return step
 
     def _carry(self, share: float) -> NDArray[np.float64]:
-        """Where the warp wants the particles at a share of the way [dx], shape [n, 3]."""
+        """Where the warp wants the particles at a share of the change [dx], shape [n, 3]."""
         assert self.warp
         self._carried, self._carried_share = self.warp.forward(self._followed, share), share
         return self._carried

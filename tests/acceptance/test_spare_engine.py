@@ -82,7 +82,7 @@ def test_each_job_has_a_process_of_its_own(cluster, undisturbed):
 
 
 def test_a_job_takes_the_spare_process_that_still_gets_ready(cluster, undisturbed):
-    """It leaves the rest of that and begins; a second process would only take the cores from it."""
+    """It skips the rest of that and begins; a second process would only take the cores from it."""
     worker = cluster.worker()
     cluster.wait_until(lambda: cluster.spare(worker) is not None, "a spare engine")
     spare = cluster.spare(worker)

@@ -90,7 +90,7 @@ class Engine:
     def suits(self, spec: JobSpec) -> bool:
         """Whether it lives, and is not ready for something other than what a job needs.
 
-        While it gets ready it suits a job for any device: it leaves the rest, and begins.
+        While it gets ready it suits a job for any device: it skips the rest, and begins.
         """
         fits_device = self._device is None or spec.device in ("auto", self._device)
         return spec.config.precision == "float32" and fits_device and not self.ended

@@ -72,7 +72,7 @@ class SpareEngine:
                 self._spare = self._new_engine(method=self._method, extent=extent)
 
     def take(self, spec: JobSpec, job_dir: Path) -> Engine:
-        """A process for a job: the spare one if that suits it, ready or not, or else a new one."""
+        """A process for a job: the spare one, ready or not, if it suits the job, or a new one."""
         with self._lock:
             self._method = spec.config.method.name
             self._enough_frames = NEARLY_DONE * spec.frame_count
