@@ -7,6 +7,8 @@ const RATES = [4, 8, 12, 24, 48];
 /** Frames a second at which a job is played until somebody chooses otherwise. */
 export const USUAL_RATE = 12;
 
+const LONGEST_STEP_MILLISECONDS = 250; // that playing goes on by at once, however long the page stood still
+
 /** A timeline; it follows the newest frame until the user chooses one. */
 export class Timeline {
   #turn = 0;
@@ -158,7 +160,8 @@ export class Timeline {
       await new Promise(requestAnimationFrame);
       const last = (this.pace ? this.pace.frames.length : this.count) - 1;
       if (at >= last && !this.loop.checked) break;
-      at += ((performance.now() - shown) / 1000) * (this.pace ? this.pace.fps : Number(this.rate.value));
+      const passed = Math.min(performance.now() - shown, LONGEST_STEP_MILLISECONDS);
+      at += (passed / 1000) * (this.pace ? this.pace.fps : Number(this.rate.value));
       if (!this.loop.checked) at = Math.min(at, last);
       else if (at >= last + 1) at = 0; // the last frame lasts as long as the others
     }
