@@ -143,7 +143,7 @@ def morph(
 
     Args:
         source: Where the particles come from.
-        target: What they are to become; of several targets in a list, one after the other. The way
+        target: What they are to become; of several targets in a list, one after the other. The path
             to each is a leg of `config.frames` frames, which begins with the particles as the last
             one has ended.
         config: All parameters; the default preset when not given.

@@ -32,11 +32,13 @@ class SortedOptions(MethodOptions):
     name: Literal["sorted"] = "sorted"
     slabs: int = Field(20, ge=1, le=200, description="Slices, and rows in each of them.")
     first_axis: Literal["x", "y", "z"] = Field("z", description="Direction across the slices.")
-    rest: float = Field(0.0, ge=0, lt=1, description="Share of the frames at the end without way.")
+    rest: float = Field(
+        0.0, ge=0, lt=1, description="Share of the frames at the end without motion."
+    )
 
 
 class Sorted(Method[SortedOptions]):
-    """Straight ways between points of the same rank."""
+    """Straight paths between points of the same rank."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
@@ -44,7 +46,7 @@ class Sorted(Method[SortedOptions]):
         self._positions = problem.source
 
     def advance(self, frame: int) -> FrameOutcome:
-        """Walk one part of the rest of the way, all of it in the last frame."""
+        """Walk part of the remaining path, all of it in the last frame."""
         frames = max(1, round((1 - self.options.rest) * self.problem.config.frames))
         left = np.float32(max(1, frames - frame))
         self._positions = self._positions + (self._goal - self._positions) / left

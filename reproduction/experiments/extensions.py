@@ -135,7 +135,7 @@ MOTION = _extension(
     rows=tuple(Row(_name(pair), (transport(*pair),), _name(pair)) for pair in PAIRS),
     remarks=(
         "The worst of all frames: the smallest distance of two particles (in h, at most 1), the "
-        "least and the greatest det F, and the farthest way of a particle in a frame (in dx). The "
+        "least and the greatest det F, and the longest move of a particle in a frame (in dx). The "
         "last four are of the last frame.",
     ),
 )
