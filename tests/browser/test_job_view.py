@@ -271,12 +271,34 @@ def test_the_timeline_scrubs_steps_and_plays(opened):
     assert picture(opened) == last
 
 
-EACH_READING = """reading => {
-  const told = [];
-  new MutationObserver(() => told.push(reading.textContent)).observe(reading, { childList: true });
-  return told;
+LATER_FRAMES = """reading => {
+  const frames = [];
+  const add = () => frames.push(parseInt(reading.textContent));
+  new MutationObserver(add).observe(reading, { childList: true });
+  return frames;
 }"""
-"""A list to which each later text of an element is added."""
+"""A list to which the number of each frame is added that the timeline goes to."""
+
+
+def test_playing_skips_nothing_where_the_page_stood_still(opened):
+    """A page that is kept busy for longer than the whole job lasts shows every frame of it."""
+    opened.get_by_label("Speed", exact=True).select_option("4")
+    later = opened.locator(".timeline .reading").evaluate_handle(LATER_FRAMES)
+    opened.evaluate(
+        """frames => {
+          let left = frames + 2;
+          const keepBusy = () => {
+            const end = performance.now() + 1000;
+            while (performance.now() < end);
+            if (--left) requestAnimationFrame(keepBusy);
+          };
+          document.querySelector(".timeline .primary").click();
+          requestAnimationFrame(keepBusy);
+        }""",
+        FRAMES,
+    )
+    expect(opened.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    assert set(later.json_value()) == {*range(1, FRAMES + 1)}
 
 
 def test_a_job_is_played_in_a_time_of_its_own(opened):
@@ -302,13 +324,13 @@ def test_a_job_is_played_in_a_time_of_its_own(opened):
     expect(speed).to_be_hidden()
     expect(opened.get_by_label("Loop")).to_be_checked()
     opened.get_by_label("Loop").uncheck()
-    told = reading.evaluate_handle(EACH_READING)
+    later = reading.evaluate_handle(LATER_FRAMES)
     opened.get_by_role("button", name="Play", exact=True).click()
     expect(reading).to_have_text(f"1 / {FRAMES}")
     expect(opened.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    frames = [int(text.split(" / ")[0]) for text in told.json_value()]
+    frames = later.json_value()
     frames = frames[frames.index(1) :]
-    farthest = max(range(len(frames)), key=lambda i: frames[i])
+    farthest = frames.index(max(frames))
     assert frames[farthest] >= FRAMES - 1  # the target itself is but an instant
     assert frames[: farthest + 1] == sorted(frames[: farthest + 1])
     assert frames[farthest:] == sorted(frames[farthest:], reverse=True)

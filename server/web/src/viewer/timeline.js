@@ -7,7 +7,8 @@ const RATES = [4, 8, 12, 24, 48];
 /** Frames a second at which a job is played until somebody chooses otherwise. */
 export const USUAL_RATE = 12;
 
-const LONGEST_STEP_MILLISECONDS = 250; // that playing goes on by at once, however long the page stood still
+/** However long the page stood still, playing skips no more than this. */
+const LONGEST_STEP_MILLISECONDS = 250;
 
 /** A timeline; it follows the newest frame until the user chooses one. */
 export class Timeline {
