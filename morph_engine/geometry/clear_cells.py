@@ -14,14 +14,17 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-POINTS_PER_CELL = 512
+POINTS_PER_CELL = 128
 """Of the largest cells, if points were everywhere."""
 
 HALVINGS = 2
 """How often cells that are cut are halved along each axis."""
 
 MOST_PAIRS = 10_000_000
-"""Triangles and cells near each other, or cells and open edges; with more it takes too long."""
+"""Triangles and cells near each other; with more it takes too much memory."""
+
+MOST_CHANGES = 30_000_000
+"""Cells times open edges; with more it takes too long."""
 
 MARGIN = 1e-6
 """What cells are taken to be larger by, for rounding [cells]."""
@@ -128,7 +131,7 @@ def _cut(
 
 def _largest_changes(centres: Floats, reach: float, middles: Floats, lengths: Floats) -> Floats:
     """What the winding number changes by within a reach of centres, at most."""
-    if len(centres) * len(middles) > MOST_PAIRS:
+    if len(centres) * len(middles) > MOST_CHANGES:
         return np.full(len(centres), np.inf)
     change = np.zeros(len(centres))
     for middle, length in zip(middles, lengths, strict=True):
