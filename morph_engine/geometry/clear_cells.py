@@ -14,17 +14,17 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-POINTS_PER_CELL = 128
+POINTS_PER_CELL = 512
 """Of the largest cells, if points were everywhere."""
+
+MOST_ALONG = 512
+"""Of the largest cells along an axis."""
 
 HALVINGS = 2
 """How often cells that are cut are halved along each axis."""
 
 MOST_PAIRS = 10_000_000
-"""Triangles and cells near each other; with more it takes too much memory."""
-
-MOST_CHANGES = 30_000_000
-"""Cells times open edges; with more it takes too long."""
+"""Triangles and cells near each other, or cells and open edges; with more it takes too long."""
 
 MARGIN = 1e-6
 """What cells are taken to be larger by, for rounding [cells]."""
@@ -59,7 +59,7 @@ def clear_cells(
     least = points.min(axis=0)
     extent = points.max(axis=0) - least
     edge = float(np.cbrt(np.prod(extent) * POINTS_PER_CELL / len(points)))
-    edge = max(edge, float(extent.max()) / POINTS_PER_CELL, 1e-300)
+    edge = max(edge, float(extent.max()) / MOST_ALONG, 1e-300)
     cell = np.full(len(points), -1)
     rest = np.arange(len(points))
     found, changes, count = [np.empty((0, 3))], [np.empty(0)], 0
@@ -131,7 +131,7 @@ def _cut(
 
 def _largest_changes(centres: Floats, reach: float, middles: Floats, lengths: Floats) -> Floats:
     """What the winding number changes by within a reach of centres, at most."""
-    if len(centres) * len(middles) > MOST_CHANGES:
+    if len(centres) * len(middles) > MOST_PAIRS:
         return np.full(len(centres), np.inf)
     change = np.zeros(len(centres))
     for middle, length in zip(middles, lengths, strict=True):
