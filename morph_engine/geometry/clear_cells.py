@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from morph_engine.geometry.point_cloud import extent
+
 Floats = npt.NDArray[np.float64]
 
 POINTS_PER_CELL = 512
@@ -56,16 +58,16 @@ def clear_cells(
 
     Open edges, see `open_edges`, are those of the surface.
     """
-    least = points.min(axis=0)
-    extent = points.max(axis=0) - least
-    edge = float(np.cbrt(np.prod(extent) * POINTS_PER_CELL / len(points)))
-    edge = max(edge, float(extent.max()) / MOST_ALONG, 1e-300)
+    least, most = extent(points)
+    span = most - least
+    edge = float(np.cbrt(np.prod(span) * POINTS_PER_CELL / len(points)))
+    edge = max(edge, float(span.max()) / MOST_ALONG, 1e-300)
     cell = np.full(len(points), -1)
     rest = np.arange(len(points))
     found, changes, count = [np.empty((0, 3))], [np.empty(0)], 0
     for _ in range(HALVINGS + 1):
-        place = np.floor((points[rest] - least) / edge).astype(np.int64)
-        size = np.floor(extent / edge).astype(np.int64) + 1
+        place = ((points[rest] - least) / edge).astype(np.int64)
+        size = (span / edge).astype(np.int64) + 1
         key = (place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]
         index = np.zeros(size.prod(), np.int64)
         index[key] = 1

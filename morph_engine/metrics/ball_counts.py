@@ -26,7 +26,7 @@ from morph_engine.geometry.point_cloud import extent
 CHUNKS = 32
 """Parts in which threads share out the blocks."""
 
-BLOCK = 4
+BLOCK = 3
 BINS_PER_CELL = 2
 
 ROOM = 8192
