@@ -7,6 +7,7 @@ Lengths are in the unit of the grid of the cell list, written [dx]: in the metho
 """
 
 from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -62,16 +63,14 @@ class StrayPieces:
         pieces = self._find(positions, starts, LINK * spacing)
         if not pieces:
             return
-        body = np.delete(positions, np.concatenate(pieces), axis=0)
         lengths = moved.to_numpy()
+        trees = [_tree(np.delete(positions, np.concatenate(pieces), axis=0))]
         for piece in pieces:
-            gaps, nearest = scipy.spatial.cKDTree(body).query(positions[piece])
-            first = int(np.argmin(gaps))
-            share = 1 - REJOINED * spacing / gaps[first]
-            move = share * (body[nearest[first]] - positions[piece[first]])
+            gap, vector = _to_nearest(positions[piece], trees)
+            move = (1 - REJOINED * spacing / gap) * vector
             positions[piece] += move
             lengths[piece] += np.linalg.norm(move)
-            body = np.concatenate([body, positions[piece]])  # the next one keeps away from it
+            trees.append(_tree(positions[piece]))  # the next one keeps away from it
         x.from_numpy(positions)
         moved.from_numpy(lengths)
 
@@ -110,8 +109,7 @@ def find_small_pieces(
         reach: Particles closer than this are linked [dx].
         largest: Number of particles.
     """
-    # few places are looked at: a tree that is quick to build is better than one quick to search
-    tree = scipy.spatial.cKDTree(x, leafsize=64, balanced_tree=False, compact_nodes=False)
+    tree = _tree(x)
     seen: set[int] = set()
     pieces = []
     for start in starts.tolist():
@@ -124,6 +122,24 @@ def find_small_pieces(
             pieces.append(np.array(sorted(piece)))
         seen |= piece
     return pieces
+
+
+def _tree(x: NDArray[Any]) -> scipy.spatial.cKDTree:
+    """A tree that is quick to build rather than to search, for few places are looked at."""
+    return scipy.spatial.cKDTree(x, leafsize=64, balanced_tree=False, compact_nodes=False)
+
+
+def _to_nearest(
+    piece: NDArray[Any], trees: list[scipy.spatial.cKDTree]
+) -> tuple[float, NDArray[Any]]:
+    """The least distance between a piece and others, and the vector there [dx], shape [3]."""
+    found = []
+    for tree in trees:
+        gaps, nearest = tree.query(piece)
+        first = int(np.argmin(gaps))
+        goal = tree.data[nearest[first]].astype(piece.dtype)
+        found.append((float(gaps[first]), goal - piece[first]))
+    return min(found, key=itemgetter(0))
 
 
 @ti.kernel

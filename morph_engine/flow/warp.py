@@ -28,6 +28,9 @@ Points = NDArray[np.float64]
 FOLLOWED = 8
 """Controls that a point follows."""
 
+CARRIED_TOGETHER = 16_384
+"""Points that are carried at a time, so that what is between stays in the processor's cache."""
+
 SMOOTHINGS = 2
 """Rounds in which the affine motion of a control is averaged with those of its neighbours."""
 
@@ -54,20 +57,33 @@ class Followed:
     Attributes:
         points: Where the points are [dx], shape [n, 3].
         controls: Where the controls are [dx], shape [k, 3].
-        weights: How much each point follows each control, rows of sum 1, sparse, shape [n, k].
+        near: The controls that each point follows, shape [n, f].
+        weights: How much it follows each of them, rows of sum 1, shape [n, f].
     """
 
     points: Points
     controls: Points
-    weights: scipy.sparse.csr_array
+    near: NDArray[np.int32]
+    weights: Points
 
     def carried(self, controls: Points, affine: Points) -> Points:
         """Where the points are when the controls are there, and moved so around them, [n, 3]."""
         shifts = controls - np.einsum("kij,kj->ki", affine, self.controls)
         motions = np.concatenate([affine, shifts[:, :, None]], axis=2).reshape(len(controls), -1)
-        own = (self.weights @ motions).reshape(-1, 3, 4)
-        carried: Points = np.einsum("nij,nj->ni", own[:, :, :3], self.points) + own[:, :, 3]
+        carried = np.empty_like(self.points)
+        for first in range(0, len(carried), CARRIED_TOGETHER):
+            block = slice(first, first + CARRIED_TOGETHER)
+            own = (self._weights(block) @ motions).reshape(-1, 3, 4)
+            turned = np.einsum("nij,nj->ni", own[:, :, :3], self.points[block])
+            carried[block] = turned + own[:, :, 3]
         return carried
+
+    def _weights(self, points: slice) -> scipy.sparse.csr_array:
+        """How much some of the points follow each control, sparse, shape [m, k]."""
+        near, weights = self.near[points], self.weights[points]
+        rows = np.arange(len(near) + 1, dtype=np.int32) * near.shape[1]
+        shape = len(near), len(self.controls)
+        return scipy.sparse.csr_array((weights.ravel(), near.ravel(), rows), shape=shape)
 
 
 class Warp:
@@ -150,10 +166,7 @@ class Warp:
             close = 1 + (self._spacing / np.maximum(distance, LEAST_DISTANCE * self._spacing)) ** 2
             weight = np.where(near < self._landmark_count, close * weight, weight)
         weight = weight / weight.sum(axis=1, keepdims=True)
-        rows = np.arange(len(points) + 1) * near.shape[1]
-        shape = len(points), len(controls)
-        weights = scipy.sparse.csr_array((weight.ravel(), near.ravel(), rows), shape=shape)
-        return Followed(points, controls, weights)
+        return Followed(points, controls, near.astype(np.int32), weight)
 
     def _laplacian(self) -> Points:
         i, j, weight = self._edges

@@ -63,12 +63,12 @@ def clear_cells(
     edge = float(np.cbrt(np.prod(span) * POINTS_PER_CELL / len(points)))
     edge = max(edge, float(span.max()) / MOST_ALONG, 1e-300)
     cell = np.full(len(points), -1)
-    rest = np.arange(len(points))
+    rest, place = np.arange(len(points)), (points - least) / edge
     found, changes, count = [np.empty((0, 3))], [np.empty(0)], 0
     for _ in range(HALVINGS + 1):
-        place = ((points[rest] - least) / edge).astype(np.int64)
         size = (span / edge).astype(np.int64) + 1
-        key = (place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]
+        x, y, z = place.T.astype(np.int64)
+        key = (x * size[1] + y) * size[2] + z
         index = np.zeros(size.prod(), np.int64)
         index[key] = 1
         index[_cut((vertices - least) / edge, faces, size)] = 0
@@ -80,8 +80,8 @@ def clear_cells(
         found.append(centres)
         changes.append(_largest_changes(centres, np.sqrt(0.75) * edge, *open_edges))
         count += len(clear)
-        rest = rest[index[key] < 0]
-        edge /= 2
+        cut = cell[rest] < 0
+        rest, place, edge = rest[cut], 2 * place[cut], edge / 2
     return ClearCells(np.concatenate(found), np.concatenate(changes), cell)
 
 
