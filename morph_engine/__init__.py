@@ -19,5 +19,7 @@ import lazy_loader
 # Taichi announces itself on stdout, and in a notebook that it has found one
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("TI_ENABLE_PYBUF", "0")
+# and once a day tells its makers the version, the platform and a number that stays the same
+os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
