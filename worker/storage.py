@@ -246,8 +246,8 @@ class Storage:
             ) from None
 
     def surface_path(self, job_id: str, frame: int) -> Path:
-        """The surface of a frame; it need not be there."""
-        return self.derived_dir(job_id) / f"surface-{frame:06d}.npz"
+        """The surface of a frame, with its snapped corners; it need not be there."""
+        return self.derived_dir(job_id) / f"surfaces-{frame:06d}.npz"
 
     def exports_dir(self, job_id: str) -> Path:
         """Where the exports of a job are kept."""

@@ -55,12 +55,16 @@ async def get_surface(
     units: Annotated[
         Units, Query(description="As for exports, but the default is `grid`.")
     ] = "grid",
+    snap: Annotated[
+        bool, Query(description="Snap it onto the meshes in the first and last frames.")
+    ] = False,
 ) -> Response:
     """A closed and smooth mesh around the particles of a finished frame, also while the job runs.
 
     It is computed on the first request, which takes seconds, and kept with the job. The headers
-    tell whether it is closed and how far it is from the target mesh. Once the job has ended, GLB,
-    PLY and OBJ have the colours of the shapes, if any.
+    tell whether it is closed and how far it is from the target mesh, which is that of the unsnapped
+    surface. Once the job has ended, GLB, PLY and OBJ have the colours of the shapes, if any, and
+    the surface can be snapped onto their meshes.
     """
     path = context.storage.surface_path(job.id, frame.index)
     result = context.storage.result_path(job.id)
@@ -71,17 +75,23 @@ async def get_surface(
         await anyio.to_thread.run_sync(context.quotas.job_changed, job.id, job.owner)
     try:
         stat = await anyio.Path(path).stat()
-        headers = etag_headers(f"{stat.st_mtime_ns:x}-{stat.st_size:x}-{format}-{units}")
+        headers = etag_headers(f"{stat.st_mtime_ns:x}-{stat.st_size:x}-{format}-{units}-{snap:d}")
         if answer := not_modified(request, headers):
             return answer
-        body, report = await context.compute(_encode, job, frame.index, format, units, context)
+        wanted = job, frame.index, format, units, snap
+        body, report = await context.compute(_encode, *wanted, context)
     except FileNotFoundError:  # deleted meanwhile
         raise not_found("job", job.id) from None
     return Response(body, headers=headers | report, media_type=MEDIA_TYPES[format])
 
 
 def _encode(
-    job: JobRecord, index: int, format: SurfaceFormat, units: Units, context: ServerContext
+    job: JobRecord,
+    index: int,
+    format: SurfaceFormat,
+    units: Units,
+    snap: bool,
+    context: ServerContext,
 ) -> tuple[bytes, dict[str, str]]:
     """A surface that is there as a file, and headers that describe it."""
     import trimesh
@@ -90,7 +100,8 @@ def _encode(
     from morph_engine.results.selection import Snapshot
 
     surface = StoredSurface.load(context.storage.surface_path(job.id, index))
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    vertices = surface.snapped if snap and surface.snapped is not None else surface.vertices
+    mesh = trimesh.Trimesh(vertices, surface.faces, process=False)
     if units != "grid":
         mesh.apply_transform(read_transform(context.storage.result_path(job.id), index, units))
     file = io.BytesIO()

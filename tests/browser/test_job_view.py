@@ -410,6 +410,21 @@ def test_a_surface_is_what_one_sees_first(page, done):
     changed(page, without)
 
 
+def test_the_ends_are_ones_own_meshes_if_one_wants_it(page, done):
+    """The surface of the last frame is snapped to the target, and is as computed again."""
+    page.goto(f"/jobs/{done}?frame={FRAMES}&quality=plain")
+    expect_frame(page, FRAMES)
+    expect(page.locator(".surface-words")).to_contain_text("dx from the target")
+    computed, ends = picture(page), page.get_by_label("Ends", exact=True)
+    ends.select_option("meshes")
+    page.wait_for_url(re.compile("ends=meshes"))
+    snapped = changed(page, computed)
+    ends.select_option("matter")
+    assert changed(page, snapped) == computed
+    page.keyboard.press("p")
+    expect(ends).to_be_hidden()
+
+
 def test_a_cut_surface_is_closed(page, done):
     """Where the plane cuts it there is one flat face, lit the same all over."""
     page.goto(f"/jobs/{done}?frame={FRAMES}&quality=plain")

@@ -6,6 +6,8 @@ import pytest
 import trimesh
 
 import morph_engine.export.video as video_export
+from chamfer_morph.worker.sandbox.derived_files import StoredSurface
+from chamfer_morph.worker.tasks.reconstruct_surface import run as store_surface
 from morph_engine import configure
 from morph_engine.errors import ConfigError
 from morph_engine.export import export
@@ -130,6 +132,20 @@ def test_nothing_folds_at_a_rim():
     assert np.einsum("fi,fi->f", *normals).min() > 0
     apart, before = (surface_deviation(each, mesh)["mean"] for each in (drawn, found))
     assert apart < 0.3 * before
+
+
+@pytest.mark.parametrize("frame", [0, COUNT // 2, COUNT - 1])
+def test_the_page_is_handed_what_an_export_has(run, tmp_path, frame):
+    """The snapped corners as well as the others; none where a frame is at neither end."""
+    file = tmp_path / "surface.npz"
+    store_surface(run.path, frame, file)
+    stored = StoredSurface.load(file)
+    drawn, found = (surface(run, frame, snap=snap) for snap in (True, False))
+    np.testing.assert_array_equal(stored.vertices, found.vertices)
+    if frame == COUNT // 2:
+        assert stored.snapped is None
+    else:
+        np.testing.assert_array_equal(stored.snapped, drawn.vertices)
 
 
 def test_the_last_frame_lies_on_the_users_own_mesh(run):

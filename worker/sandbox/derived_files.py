@@ -15,7 +15,6 @@ from chamfer_morph import schemas
 from chamfer_morph.schemas import Easing, Repeat, Sha256, Units
 from morph_engine.files import replacing
 from morph_engine.results.timeline import Timing
-from morph_engine.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from morph_engine.export import Content
@@ -33,19 +32,23 @@ class StoredSurface:
             [dx^3], and, where the target is a mesh, `deviation` [dx] as of `surface.deviation`.
         colors: Colours of the corners, sRGB, shape [V, 3], uint8. None where the shapes have none,
             and until the job has ended, since colours lead to what the matter becomes.
+        snapped: The corners of the same surface snapped to the mesh of source or target [grid
+            units], shape [V, 3], float64. None far from both, and until the job has ended.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     report: dict[str, Any]
     colors: NDArray[np.uint8] | None = None
+    snapped: NDArray[np.float64] | None = None
 
     @classmethod
     def load(cls, path: Path) -> StoredSurface:
         """Read one that is there."""
         with np.load(path, allow_pickle=False) as arrays:
             report = json.loads(arrays["report"].tobytes())
-            return cls(arrays["vertices"], arrays["faces"], report, arrays.get("colors"))
+            more = arrays.get("colors"), arrays.get("snapped")
+            return cls(arrays["vertices"], arrays["faces"], report, *more)
 
     def save(self, path: Path) -> None:
         """Write it as a whole."""
@@ -55,11 +58,13 @@ class StoredSurface:
             arrays = {"vertices": self.vertices, "faces": self.faces, "report": report}
             if self.colors is not None:
                 arrays["colors"] = self.colors
+            if self.snapped is not None:
+                arrays["snapped"] = self.snapped
             np.savez(file, allow_pickle=False, **arrays)
 
     @classmethod
     def is_there(cls, path: Path, result: Path) -> bool:
-        """Whether there is one, with the colours that it can have by now.
+        """Whether there is one, with all that it can have by now.
 
         Args:
             path: Where it is kept.
@@ -69,10 +74,7 @@ class StoredSurface:
             made = path.stat().st_mtime_ns
         except FileNotFoundError:
             return False
-        if not result.is_file() or made > result.stat().st_mtime_ns:
-            return True
-        with Trajectory(result) as trajectory:
-            return trajectory.colors is None
+        return not result.is_file() or made > result.stat().st_mtime_ns
 
 
 class ExportOptions(BaseModel, frozen=True, extra="forbid"):

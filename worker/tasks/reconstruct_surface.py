@@ -44,10 +44,12 @@ def run(result: Path, index: int, path: Path) -> None:
         target, _ = record.fitted("target")
         if target is not None:
             report["deviation"] = surface_deviation(found, target)
-        colors = None
-        if result.is_file():  # the job has ended, so that the colours of its end are known
+        colors = snapped = None
+        if result.is_file():  # the job has ended, so that its end is known
             with Trajectory(result) as trajectory:
                 if index < trajectory.frame_count:
                     selection = Selection(trajectory, (index,))
                     colors = selection.surface_colors(found.vertices, index, spacing)
-        StoredSurface(found.vertices, found.faces, report, colors).save(path)
+                    drawn = selection.drawn_to_ends(found, index, spacing)
+                    snapped = None if drawn is found else drawn.vertices
+        StoredSurface(found.vertices, found.faces, report, colors, snapped).save(path)

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 import trimesh
@@ -21,9 +22,12 @@ from chamfer_morph.schemas import PictureOptions
 from chamfer_morph.server.routes import exports
 from chamfer_morph.worker.sandbox import runner
 from morph_engine.export import FORMATS
+from morph_engine.geometry.surface_reconstruction import Surface, surface_deviation
+from morph_engine.morphing import prepare
+from morph_engine.presets import configure
 from morph_engine.rendering.materials import MATERIALS
 from morph_engine.results.run_record import RunRecord
-from tests.integration.api.conftest import Api, halted_child
+from tests.integration.api.conftest import COARSE, Api, halted_child
 from tests.patience import PATIENCE, until
 
 
@@ -70,6 +74,31 @@ def test_the_surface_of_a_frame(api: Api, run: RunRecord, monkeypatch: pytest.Mo
     known = {"If-None-Match": headers["ETag"]}
     assert api.http.get(path, headers=known).status_code == 304
     assert api.http.get(path.replace("/0/", "/2/")).status_code == 404
+
+
+def test_a_surface_is_snapped_to_a_mesh(api: Api) -> None:
+    """Once the job has ended: the same triangles, nearer to the source, and measured as before."""
+    run = prepare("sphere", "star", configure("fast", COARSE | {"frames": 20}))
+    mesh, _ = run.fitted("source")
+
+    def surfaces(job: str) -> list[tuple[httpx.Response, Surface]]:
+        found = []
+        for snap in (False, True):
+            query = {"format": "ply", "snap": snap}
+            answer = api.http.get(f"/v1/jobs/{job}/frames/0/surface", params=query)
+            assert answer.status_code == 200, answer.text
+            ply = trimesh.load_mesh(io.BytesIO(answer.content), file_type="ply", process=False)
+            found.append((answer, Surface(np.array(ply.vertices), np.array(ply.faces))))
+        return found
+
+    (_, plain), (_, snapped) = surfaces(api.running(run))
+    np.testing.assert_array_equal(snapped.vertices, plain.vertices)
+    (first, plain), (second, snapped) = surfaces(api.finished(run))
+    np.testing.assert_array_equal(snapped.faces, plain.faces)
+    far, near = (surface_deviation(one, mesh)["mean"] for one in (plain, snapped))
+    assert near < 0.95 * far
+    assert first.headers["ETag"] != second.headers["ETag"]
+    assert first.headers["Morph-Deviation-Mean"] == second.headers["Morph-Deviation-Mean"]
 
 
 def test_a_surface_that_takes_too_much_is_refused(

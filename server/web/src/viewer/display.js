@@ -10,10 +10,16 @@ import { LEVELS } from "./quality.js";
 
 const PLACE = "morph-display";
 const EXTENT = 14; // half edge of the domain's safe part [grid units]
-const KEPT = ["colour", "target"]; // for next time, as they are a matter of taste
+const KEPT = ["colour", "ends", "target"]; // for next time, as they are a matter of taste
 const SHAPES = [
   ["surface", "Surface"],
   ["points", "Particles"],
+];
+
+/** What the surface of the first and last frames is: as in exports. */
+const ENDS = [
+  ["matter", "As computed"],
+  ["meshes", "Snapped to meshes"],
 ];
 
 /** Colours that tell nothing: those of the shapes, where these have any, and that of the look alone. */
@@ -25,6 +31,7 @@ const PLAIN_COLOURS = [
 /** How things are shown until somebody chooses otherwise. */
 export const USUAL = {
   shape: "surface",
+  ends: "matter",
   look: "clay",
   colour: "own",
   target: "none",
@@ -38,6 +45,7 @@ export const USUAL = {
 /** What the address may say, so that who follows it sees the same. */
 const ADDRESSED = {
   shape: SHAPES.map(([name]) => name),
+  ends: ENDS.map(([name]) => name),
   look: Object.keys(LOOKS),
   focus: Object.keys(FOCUS),
   quality: ["auto", ...LEVELS.map(({ name }) => name)],
@@ -71,6 +79,7 @@ export class Display {
       { class: "display floating", id: "display", role: "group", "aria-label": "Display" },
       this.#choice("shape", "Show as", SHAPES, "S: surface, P: particles"),
       this.#choice("look", "Look", Object.entries(LOOKS).map(([name, { label }]) => [name, label]), "Material of the surface"),
+      (this.ends = this.#choice("ends", "Ends", ENDS, "The surface of the first and last frames")),
       this.#choice("colour", "Colour", [...PLAIN_COLOURS, ...colours], "What the colours show"),
       this.#choice(
         "target",
@@ -183,6 +192,7 @@ export class Display {
     const both = this.own || this.state.colour === "look";
     own.text = both ? PLAIN_COLOURS[0][1] : PLAIN_COLOURS[1][1];
     look.hidden = look.disabled = !both;
+    this.ends.hidden = this.state.shape !== "surface";
     this.slider.hidden = this.state.axis === "none";
     this.drawn.hidden = this.state.quality !== "auto"; // else it is what was chosen
     this.reading.textContent = `${this.state.axis} = ${number(this.state.offset, 3)} dx`;

@@ -72,6 +72,7 @@ export class Panel {
     this.legs = 1;
     this.index = -1;
     this.surfaces = new Surfaces(jobId, signal, share);
+    this.surfaces.snapped = display.ends === "meshes";
     this.frames = new Frames(jobId, {
       signal,
       share,
@@ -215,7 +216,7 @@ export class Panel {
     this.#grows = grows;
     if (!done) return;
     this.#own = null; // now that the end is known, to which colours lead
-    if (this.#ownShown) this.surfaces.clear();
+    if (this.#ownShown || this.surfaces.snap) this.surfaces.clear();
     this.#recolour();
   }
 
@@ -301,6 +302,7 @@ export class Panel {
   async setDisplay(display) {
     const before = this.display;
     this.display = { ...display };
+    this.surfaces.snapped = display.ends === "meshes";
     const viewer = await this.#ready;
     if (!viewer) return;
     if (before.up !== display.up) viewer.setUp(display.up);
@@ -309,7 +311,7 @@ export class Panel {
     if (before.focus !== display.focus) viewer.setFocus(display.focus);
     const { axis, offset } = display;
     viewer.setCut(axis === "none" ? null : { axis, offset });
-    const turning = ["colour", "shape", "up", "look"].some((name) => before[name] !== display[name]);
+    const turning = ["colour", "shape", "up", "look", "ends"].some((name) => before[name] !== display[name]);
     if (this.#targetShown !== this.#targetWanted()) await this.#showTarget(viewer);
     if (turning) await this.#recolour();
   }
@@ -381,9 +383,10 @@ export class Panel {
 
   /** Colours and surface of the frame shown, as far as nothing newer is wanted; particles until it is there. */
   async #paint(viewer, turn) {
-    const { shape, look } = this.display;
+    const { shape } = this.display;
+    const asked = ["shape", "look", "ends"].map((name) => [name, this.display[name]]);
     const others = () =>
-      turn !== this.#turn || this.signal.aborted || shape !== this.display.shape || look !== this.display.look;
+      turn !== this.#turn || this.signal.aborted || asked.some(([name, value]) => value !== this.display[name]);
     const held = shape === "surface" ? this.#heldSurface() : null;
     viewer.setSurface((this.#mesh = held));
     this.#say(held ? "" : this.#absence());

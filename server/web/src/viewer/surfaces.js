@@ -12,6 +12,13 @@ export class Surfaces {
   constructor(jobId, signal, share = 1) {
     Object.assign(this, { jobId, signal, budget: share * BUDGET });
     this.full = false; // whether there is no room for those of all frames
+    this.snap = false; // whether those of the first and last frames are snapped to the meshes
+  }
+
+  /** Have them snapped, or as computed. */
+  set snapped(snap) {
+    if (snap !== this.snap) this.clear();
+    this.snap = snap;
   }
 
   /** @returns {number} how many are here. */
@@ -26,12 +33,13 @@ export class Surfaces {
 
   /** The surface of a frame [grid units], see meshes.js. */
   async get(index, signal = this.signal) {
-    if (!this.#held.has(index)) {
-      const { mesh } = await part(() => import("./meshes.js"));
-      const path = `/jobs/${this.jobId}/frames/${index}/surface`;
-      const found = await mesh(path, { query: { units: "grid" }, signal });
-      if (!this.#held.has(index)) this.#keep(index, found); // which another may have asked for meanwhile
-    }
+    if (this.#held.has(index)) return this.#held.get(index);
+    const { snap } = this;
+    const { mesh } = await part(() => import("./meshes.js"));
+    const path = `/jobs/${this.jobId}/frames/${index}/surface`;
+    const found = await mesh(path, { query: { units: "grid", ...(snap && { snap }) }, signal });
+    if (snap !== this.snap) return found; // which nobody wants any more
+    if (!this.#held.has(index)) this.#keep(index, found); // which another may have asked for meanwhile
     return this.#held.get(index);
   }
 
