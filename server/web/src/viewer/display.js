@@ -10,7 +10,7 @@ import { LEVELS } from "./quality.js";
 
 const PLACE = "morph-display";
 const EXTENT = 14; // half edge of the domain's safe part [grid units]
-const KEPT = ["colour", "ends", "target"]; // for next time, as they are a matter of taste
+const KEPT = ["colour", "target"]; // for next time, as they are a matter of taste
 const SHAPES = [
   ["surface", "Surface"],
   ["points", "Particles"],
