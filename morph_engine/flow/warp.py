@@ -22,14 +22,12 @@ from morph_engine.blas_threads import one_blas_thread
 from morph_engine.flow.controls import Controls, best_rotation
 from morph_engine.flow.elastic_cloud import ElasticCloud
 from morph_engine.flow.registration import Registration
+from morph_engine.row_blocks import row_blocks
 
 Points = NDArray[np.float64]
 
 FOLLOWED = 8
 """Controls that a point follows."""
-
-CARRIED_TOGETHER = 16_384
-"""Points that are carried at a time, so that what is between stays in the processor's cache."""
 
 SMOOTHINGS = 2
 """Rounds in which the affine motion of a control is averaged with those of its neighbours."""
@@ -71,8 +69,7 @@ class Followed:
         shifts = controls - np.einsum("kij,kj->ki", affine, self.controls)
         motions = np.concatenate([affine, shifts[:, :, None]], axis=2).reshape(len(controls), -1)
         carried = np.empty_like(self.points)
-        for first in range(0, len(carried), CARRIED_TOGETHER):
-            block = slice(first, first + CARRIED_TOGETHER)
+        for block in row_blocks(len(carried)):
             own = (self._weights(block) @ motions).reshape(-1, 3, 4)
             turned = np.einsum("nij,nj->ni", own[:, :, :3], self.points[block])
             carried[block] = turned + own[:, :, 3]

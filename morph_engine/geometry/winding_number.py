@@ -8,8 +8,8 @@ import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
 
-from morph_engine.geometry.clear_cells import clear_cells, open_edges
 from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.winding_cells import MOST_OPEN_EDGES, open_edges, winding_cells
 
 igl: Any = lazy.load("igl")
 
@@ -24,8 +24,8 @@ CUTS_PER_FACE = 200
 FAST_WINDING_ERROR = 0.02
 """Bound on the error of the fast winding number away from the surface."""
 
-FEWEST_IN_CELLS = 50_000
-"""Fewer points are evaluated one by one."""
+FEWEST_IN_CELLS, FEWEST_PER_FACE = 50_000, 5
+"""Points that are evaluated one by one where there are fewer, or fewer for each face."""
 
 
 def winding_number(mesh: Mesh, points: npt.ArrayLike) -> Floats:
@@ -81,21 +81,24 @@ def inside(mesh: Mesh, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Mask of the points with a winding number of at least 1/2 (algorithm 1.2, step 5).
 
     The few points that the fast winding number leaves in doubt are evaluated exactly. Where there
-    are many, those in a cell that the surface does not cut have that of its centre. Points are in
-    the mesh's coordinates, shape [n, 3].
+    are many, one evaluation serves those of a cell, see `WindingCells`. Points are in the mesh's
+    coordinates, shape [n, 3].
     """
     queries = np.ascontiguousarray(points, np.float64)
-    if len(queries) < FEWEST_IN_CELLS:
+    if len(queries) < max(FEWEST_IN_CELLS, FEWEST_PER_FACE * len(mesh.faces)):
         return _each_inside(mesh, queries)
-    vertices, faces = _without_long_edges(mesh)
-    cells = clear_cells(queries, vertices, faces, open_edges(mesh.vertices, mesh.faces))
+    edges = open_edges(mesh.vertices, mesh.faces)
+    if len(edges[0]) > MOST_OPEN_EDGES:
+        return _each_inside(mesh, queries)
+    cells = winding_cells(queries, *_without_long_edges(mesh), edges)
     single = np.flatnonzero(cells.cell < 0)
     winding = winding_number(mesh, np.concatenate([cells.centres, queries[single]]))
     which = cells.cell
     which[single] = len(cells.centres) + np.arange(len(single))
     changes = np.append(cells.changes, np.zeros(len(single)))
-    doubtful = (np.abs(winding - 0.5) < FAST_WINDING_ERROR + changes)[which]
-    answer: npt.NDArray[np.bool_] = (winding >= 0.5)[which]
+    here = winding[which] + cells.crossed
+    doubtful = np.abs(here - 0.5) < FAST_WINDING_ERROR + changes[which]
+    answer: npt.NDArray[np.bool_] = here >= 0.5
     if doubtful.any():
         answer[doubtful] = _each_inside(mesh, queries[doubtful])
     return answer

@@ -22,6 +22,7 @@ from morph_engine.backend import CPU_CHUNK_STRIDE
 from morph_engine.counting_sort import counting_sort
 from morph_engine.flow.cell_list import LANES, load_lanes
 from morph_engine.geometry.point_cloud import extent
+from morph_engine.row_blocks import row_blocks
 
 CHUNKS = 32
 """Parts in which threads share out the blocks."""
@@ -123,15 +124,14 @@ class BallCounts:
 
     def of(self, particles: NDArray[np.float32]) -> NDArray[np.int32]:
         """How many particles [dx], shape [n, 3], float32, are within the radius of each point."""
-        place = self._cell_to_bin((particles - self._origin) / self.spacing + self._margin)
-        near = (place >= 0) & (place < self._bins)
+        bins = self._bins_of(particles)
+        near = bins >= 0
         if not near.all():
-            within = near.all(axis=1)
-            particles, place = particles[within], place[within]
-        key = self._flat(np.floor(place)).astype(np.int32)
-        order, first = counting_sort(key, int(self._bins.prod()))
+            particles, bins = particles[near], bins[near]
+        order, first = counting_sort(bins, int(self._bins.prod()))
         columns = np.zeros((3, len(particles) + LANES), np.float32)
-        columns[:, : len(particles)] = particles[order].T
+        for column, coordinates in zip(columns, particles.T, strict=True):
+            np.take(coordinates, order, out=column[: len(particles)], mode="clip")  # unbuffered
         offsets = self._flat(np.insert(self._runs.column, 2, 0, axis=1))
         found = np.zeros(len(self._goal), np.int32)
         count_in_balls(
@@ -150,6 +150,16 @@ class BallCounts:
         counts = np.empty_like(found)
         counts[self._order] = found
         return counts
+
+    def _bins_of(self, particles: NDArray[np.float32]) -> NDArray[np.int32]:
+        """The bin that each particle is in, shape [n]; -1 where that is far from all points."""
+        bins = np.empty(len(particles), np.int32)
+        for rows in row_blocks(len(particles)):
+            place = (particles[rows] - self._origin) / self.spacing + self._margin
+            place = np.floor(self._cell_to_bin(place))
+            near = ((place >= 0) & (place < self._bins)).T
+            bins[rows] = np.where(near[0] & near[1] & near[2], self._flat(place), -1)
+        return bins
 
     def _cell_to_bin(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
         place[:, 2] *= BINS_PER_CELL

@@ -87,7 +87,7 @@ def holed_ball():
     return make_mesh(ball.vertices, ball.faces[kept], name="holed")
 
 
-@pytest.mark.parametrize("name", ["torus", "text:g%", "holed", "soup"])
+@pytest.mark.parametrize("name", ["torus", "star", "text:g%", "holed", "soup"])
 def test_cells_give_the_inside_of_their_points(name, monkeypatch):
     """Points that share a winding number with others are where they are by their own."""
     if name == "soup":  # of triangles that share no edge
@@ -96,10 +96,14 @@ def test_cells_give_the_inside_of_their_points(name, monkeypatch):
         mesh = make_mesh(corners, np.arange(len(corners)).reshape(-1, 3), name="soup")
     else:
         mesh = holed_ball() if name == "holed" else make(name)
-    points = np.random.default_rng(0).uniform(*mesh.bounds, (40_000, 3))
-    each = inside(mesh, points)
-    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_IN_CELLS", 1)
-    np.testing.assert_array_equal(inside(mesh, points), each)
+    drawn = np.random.default_rng(0).uniform(*mesh.bounds, (40_000, 3))
+    axes = np.linspace(*mesh.bounds, 41).T  # on which surface and centres of cells may lie
+    for points in (drawn, np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)):
+        each = inside(mesh, points)
+        with monkeypatch.context() as patched:
+            patched.setattr("morph_engine.geometry.winding_number.FEWEST_IN_CELLS", 1)
+            patched.setattr("morph_engine.geometry.winding_number.FEWEST_PER_FACE", 0)
+            np.testing.assert_array_equal(inside(mesh, points), each)
 
 
 @needs_meshes
