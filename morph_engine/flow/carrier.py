@@ -165,9 +165,10 @@ def interpolated_in_layer(field: ti.template(), i: int, j: int, k: int, x: float
 def is_far(coarse: ti.template(), i: int, j: int, k: int, size, far: float):
     """Whether no corner of a cell is near the surface."""
     nearest = abs(coarse[(i * size.y + j) * size.z + k])
-    for a, b, c in ti.static(ti.ndrange(2, 2, 2)):
-        corner = coarse[((i + a) * size.y + j + b) * size.z + k + c]
-        nearest = ti.min(nearest, abs(corner))
+    for corner in range(1, 8):
+        a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
+        value = coarse[((i + a) * size.y + j + b) * size.z + k + c]
+        nearest = ti.min(nearest, abs(value))
     return nearest > far
 
 

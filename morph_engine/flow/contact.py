@@ -69,12 +69,11 @@ def level_and_gradient(levels: ti.template(), share: float, position, grid: ti.t
     corner = ti.floor(along, int)
     f = along - corner
     value, gradient = 0.0, ti.Vector.zero(float, 3)
-    for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
+    for n in range(8):
+        i, j, k = n >> 2, n >> 1 & 1, n & 1
         at = ((corner.x + i) * size.y + corner.y + j) * size.z + corner.z + k
         phi = (1 - share) * levels.now[at] + share * levels.then[at]
-        x = f.x if ti.static(i == 1) else 1 - f.x
-        y = f.y if ti.static(j == 1) else 1 - f.y
-        z = f.z if ti.static(k == 1) else 1 - f.z
+        x, y, z = ti.select(ti.Vector([i, j, k]) == 1, f, 1 - f)
         value += x * y * z * phi
         gradient += phi * ti.Vector([(2 * i - 1) * y * z, (2 * j - 1) * x * z, (2 * k - 1) * x * y])
     return value, gradient / step

@@ -187,18 +187,18 @@ def relate_to_coarser(row: int, fine: int, coarse: int, n: int, system: ti.templ
 def assemble_coarse(row: int, fine: int, coarse: int, n: int, system: ti.template()):
     """Children and weights of a coarser row, where finer grids have n nodes per axis."""
     low = 2 * place_of(row, coarse, (n + 1) // 2, system)
-    for c in ti.static(range(8)):
-        at = low + ti.Vector([c // 4, c // 2 % 2, c % 2])
+    for c in range(8):
+        at = low + ti.Vector([c >> 2, c >> 1 & 1, c & 1])
         child = -1
         if at.max() < n:
             child = system.index[fine + (at.x * n + at.y) * n + at.z]
         system.children[row][c] = child
     total, finest = 0.0, 0.0
-    for f in ti.static(range(6)):
-        axis, ahead = ti.static(f // 2, 1 - f % 2)
+    for f in range(6):
+        axis, ahead = f >> 1, 1 - (f & 1)
         weight, other = 0.0, row
-        for c in ti.static(range(8)):
-            if ti.static((c >> (2 - axis)) % 2 == ahead):
+        for c in range(8):
+            if (c >> (2 - axis) & 1) == ahead:
                 child = system.children[row][c]
                 if child >= 0:
                     if system.weights[child][f] > 0:
@@ -207,7 +207,7 @@ def assemble_coarse(row: int, fine: int, coarse: int, n: int, system: ti.templat
         system.weights[row][f] = weight
         system.neighbors[row][f] = other
         total += weight
-    for c in ti.static(range(8)):
+    for c in range(8):
         child = system.children[row][c]
         if child >= 0:
             finest += system.self_weight[child]
@@ -240,7 +240,7 @@ def assemble_coarser(system: ti.template(), levels: ti.template()):
 def relaxed(system: ti.template(), row: int):
     """The solution of a row for which its equation holds, given its neighbours."""
     total = system.r[row]
-    for f in ti.static(range(6)):
+    for f in range(6):
         total += system.weights[row][f] * system.z[system.neighbors[row][f]]
     return total / system.diagonal[row]
 
@@ -250,7 +250,7 @@ def smooth_from_zero(system: ti.template(), row: int):
     """The solution of a row after a sweep over even rows and then odd ones, from zero."""
     total = system.r[row]
     if system.odd[row]:
-        for f in ti.static(range(6)):
+        for f in range(6):
             other = system.neighbors[row][f]
             total += system.weights[row][f] * system.r[other] / system.diagonal[other]
     system.z[row] = total / system.diagonal[row]
@@ -260,7 +260,7 @@ def smooth_from_zero(system: ti.template(), row: int):
 def restrict(system: ti.template(), row: int):
     """The right-hand side of a coarser row: what its finer rows lack."""
     total = 0.0
-    for c in ti.static(range(8)):
+    for c in range(8):
         child = system.children[row][c]
         if child >= 0:
             if not system.odd[child]:  # whose equation does not hold
@@ -274,7 +274,7 @@ def smooth_odd(system: ti.template(), row: int):
     """A sweep over odd rows, with the correction of the coarser grid in their even neighbours."""
     if system.odd[row]:
         total = system.r[row]
-        for f in ti.static(range(6)):
+        for f in range(6):
             other = system.neighbors[row][f]
             total += system.weights[row][f] * (system.z[other] + system.z[system.parent[other]])
         system.z[row] = total / system.diagonal[row]

@@ -339,7 +339,7 @@ def rows_of(chunk: int, chunks: int, system: ti.template()):
 def applied(vector: ti.template(), system: ti.template(), k: int):
     """Row k of the matrix times a vector."""
     total = system.diagonal[k] * vector[k]
-    for f in ti.static(range(6)):
+    for f in range(6):
         total -= system.weights[k][f] * vector[system.neighbors[k][f]]
     return total
 
