@@ -233,13 +233,15 @@ def count_in_balls(
                                     some += ti.cast(apart <= surely, ti.i32)
                                     most += ti.cast(apart <= maybe, ti.i32)
                                 if some != most:
-                                    some = 0
                                     for n in range(place, place + cut):
-                                        exact_x = ti.cast(x, ti.f64) - x_cut[n]
-                                        exact_y = ti.cast(y, ti.f64) - y_cut[n]
-                                        exact_z = ti.cast(z, ti.f64) - z_cut[n]
-                                        exact = exact_x**2 + exact_y**2 + exact_z**2
-                                        some += ti.cast(exact <= square, ti.i32)
+                                        dx, dy, dz = x - x_cut[n], y - y_cut[n], z - z_cut[n]
+                                        apart = dx * dx + dy * dy + dz * dz
+                                        if surely < apart and apart <= maybe:
+                                            exact_x = ti.cast(x, ti.f64) - x_cut[n]
+                                            exact_y = ti.cast(y, ti.f64) - y_cut[n]
+                                            exact_z = ti.cast(z, ti.f64) - z_cut[n]
+                                            exact = exact_x**2 + exact_y**2 + exact_z**2
+                                            some += ti.cast(exact <= square, ti.i32)
                                 found[q] += some
                             cut = 0
                 for q in range(begin[block], begin[block + 1]):
