@@ -90,7 +90,7 @@ def winding_cells(
         if halving < HALVINGS:
             place, edge = 2 * place, edge / 2
 
-    if triangle is not None:
+    if triangle is not None:  # in the smallest cells that are cut, triangles are counted
         worth = _worthwhile(key, cut, size, len(open_edges[0]))
         rest, place, key = rest[worth[key]], place[worth[key]], key[worth[key]]
         cut, triangle = cut[worth[cut]], triangle[worth[cut]]
