@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morph_engine.errors import ConfigError, ResultError
+from morph_engine.files import shortened
 
 if TYPE_CHECKING:
     from morph_engine.rendering.camera_path import CameraKey
@@ -155,7 +156,7 @@ def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
 def default_output(*shapes: str, partial: bool = False) -> Path:
     """The result file of a run that names none: sphere-to-bunny.vtkhdf, where one stands."""
     ending = "-partial" if partial else ""
-    return Path(f"{'-to-'.join(map(_file_stem, shapes))}{ending}.vtkhdf")
+    return Path(f"{shortened('-to-'.join(map(_file_stem, shapes)))}{ending}.vtkhdf")
 
 
 def _file_stem(shape: str) -> str:

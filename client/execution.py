@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from contextlib import ExitStack
 from functools import cached_property, wraps
@@ -95,6 +96,9 @@ class BlockingExecution:
     def _portal(self) -> BlockingPortal:
         portal = self._exit_stack.enter_context(start_blocking_portal())
         self._exit_stack.callback(portal.call, self._connection.close)
+        # while threads still run: at the end of the interpreter, one that is not closed would wait
+        # for its own for ever
+        weakref.finalize(self, self._exit_stack.close)
         return portal
 
     def _bound(self, method: Callable[..., Any]) -> Callable[..., Any]:

@@ -583,7 +583,9 @@ class Operations:
             states_every=states_every,
         )
         key = idempotency_key or str(uuid.uuid4())
-        return await self._post(Sweep, "sweeps", body=body, idempotency_key=key)
+        return await self._post(
+            Sweep, "sweeps", body=body, idempotency_key=key, timeout=COMPUTING_TIMEOUT
+        )
 
     @operation
     async def sweep_status(self, sweep_id: str, *, wait_for_service: bool = False) -> Sweep:
@@ -774,6 +776,7 @@ class Operations:
         body: BaseModel | None = None,
         repeatable: bool = False,
         idempotency_key: str | None = None,
+        timeout: httpx.Timeout | None = None,
     ) -> T:
         headers = {"Content-Type": "application/json"} if body else {}
         if idempotency_key:
@@ -784,6 +787,7 @@ class Operations:
             content=body.model_dump_json() if body else None,
             headers=headers,
             repeatable=repeatable or idempotency_key is not None,
+            timeout=timeout or httpx.USE_CLIENT_DEFAULT,
         )
         return self._connection.parse(type_, answer.content)
 

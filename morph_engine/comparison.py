@@ -80,8 +80,9 @@ def compare(
 ) -> Measurement:
     """Measure one shape as the particles against another as the target.
 
-    A mesh or cloud that is compared with a result is first brought to that run's grid units, so
-    that the numbers are those of the run.
+    A mesh or cloud that is compared with a result is first brought to that run's grid units, as the
+    frame lies in the user's coordinates; the meshes of its source and target as the run has placed
+    them. So the numbers are those of the run.
 
     Args:
         a: The particles: a mesh, a result, an array of points [n, 3], the file of one of these
@@ -205,7 +206,8 @@ class _Shape:
     points: npt.NDArray[Any] | None = None
     mesh: Mesh | None = None
     # of a result only
-    to_user: Matrix | None = None
+    to_user: Matrix | None = None  # of its frame
+    placed: tuple[tuple[object, Matrix], ...] = ()  # the shapes at its ends, and how they lie
     spacing: float | None = None
     domain: float | None = None
     target: _Shape | None = None
@@ -247,7 +249,11 @@ def _of_run(run: Trajectory, frame: int) -> _Shape:
     target = replace(target.moved(np.linalg.inv(leg.transform)), points=leg.target_points)
     return _Shape(
         points=run.positions(frame),
-        to_user=leg.transform,
+        to_user=run.transform_at(frame),
+        placed=(
+            (leg.source, leg.transform_to("source", 0)),
+            (leg.target, leg.transform_to("target", 1)),
+        ),
         spacing=leg.config.spacing,
         domain=leg.config.domain,
         target=target,
@@ -258,7 +264,20 @@ def _in_grid_units(shape: _Shape, other: _Shape) -> _Shape:
     """A shape in user coordinates, brought to the grid of the run it is compared with."""
     if shape.to_user is not None or other.to_user is None:
         return shape
-    return shape.moved(np.linalg.inv(other.to_user))
+    to_user = other.to_user
+    for mesh, placed in other.placed:
+        if _are_equal(shape.mesh, mesh):
+            to_user = placed
+    return shape.moved(np.linalg.inv(to_user))
+
+
+def _are_equal(mesh: Mesh | None, other: object) -> bool:
+    return (
+        mesh is not None
+        and isinstance(other, Mesh)
+        and np.array_equal(mesh.vertices, other.vertices)
+        and np.array_equal(mesh.faces, other.faces)
+    )
 
 
 def _own_target(particles: _Shape, reference: Reference) -> _Shape:

@@ -82,12 +82,14 @@ def unknown_name(
 ) -> MorphError:
     """The error for a name that is none of the known ones; its remedy has the nearest of them.
 
-    With `list_known` the remedy lists them all, as names of a kind such as "preset".
+    With `list_known` the remedy lists them all, as names of a kind such as "preset", and tells the
+    nearest only if it is near.
     """
     import difflib
 
     known = list(known)
-    remedy = f"Did you mean {difflib.get_close_matches(name.lower(), known, 1, 0.0)[0]!r}?"
+    nearest = difflib.get_close_matches(name.lower(), known, 1, 0.6 if list_known else 0.0)
+    remedy = [f"Did you mean {match!r}?" for match in nearest]
     if list_known:
-        remedy += f" Available {kind}s: {', '.join(known)}."
-    return error(f"There is no {kind} called {name!r}.", remedy)
+        remedy.append(f"Available {kind}s: {', '.join(known)}.")
+    return error(f"There is no {kind} called {name!r}.", " ".join(remedy))

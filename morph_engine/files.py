@@ -25,6 +25,14 @@ UNREADABLE = (
 
 _BLOCK_BYTES = 1 << 20
 
+LONGEST_STEM = 150
+"""Of a file name that a program makes up [bytes]: file systems take 255, with all endings."""
+
+
+def shortened(stem: str) -> str:
+    """A file name without its ending, cut to `LONGEST_STEM`."""
+    return stem.encode()[:LONGEST_STEM].decode(errors="ignore").rstrip("-")
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:

@@ -13,12 +13,12 @@ from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import place, placed
 from morph_engine.geometry.point_cloud import outer_radius
 from morph_engine.geometry.sampling import (
-    FIT_REMEDY,
     HALF_EXTENT,
     MINIMUM_PARTICLES,
     REFERENCE_VOLUME,
     Fit,
     sample_lattice,
+    size_remedy,
 )
 from morph_engine.geometry.solid import Solid
 from morph_engine.geometry.topology import Opening, Topology, Vector
@@ -177,13 +177,13 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float, own: Mesh) -> Mes
         return MeshError(
             f"{mesh.name} extends from {_text(lower)} to {_text(upper)}, beyond the "
             f"domain, which ends at {half_extent:g} grid units from its centre.",
-            FIT_REMEDY,
+            size_remedy(mesh.name),
         )
     if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
         return MeshError(
             f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
             f"than {MINIMUM_PARTICLES} particles.",
-            f"Thicken thin parts. {FIT_REMEDY}",
+            f"Thicken thin parts. {size_remedy(mesh.name)}",
         )
     if ambiguous > AMBIGUOUS_LIMIT:
         return MeshError(

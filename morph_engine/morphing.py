@@ -24,7 +24,14 @@ from morph_engine import backend, kept_results, methods
 from morph_engine.config import MorphConfig
 from morph_engine.cost import BYTES_IN_RESULT, estimate_run
 from morph_engine.device import Device
-from morph_engine.errors import ConfigError, MeshError, ResourceError, SimulationError
+from morph_engine.errors import (
+    ConfigError,
+    MeshError,
+    MorphError,
+    ResourceError,
+    ResultError,
+    SimulationError,
+)
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import placed
 from morph_engine.geometry.point_cloud import lengths
@@ -222,6 +229,8 @@ def run(
     of `out` holds the source.
     """
     config = record.config
+    if out is not None and not (resume or overwrite) and Path(out).exists():
+        raise ResultError(f"{out} already exists.", "Choose another `out`, or set `overwrite`.")
     check_resources(record, out)
     # Everything that can be refused is refused before a run directory exists.
     method = methods.find(config.method.name)
@@ -235,6 +244,10 @@ def run(
         try:
             yield from _frames(record, method, threads, on_stage, spool)
             complete = True
+        except MorphError:
+            if not spool.frame_count:  # it was refused, and there is nothing to go on from
+                spool.remove()
+            raise
         finally:
             if spool.frame_count:
                 return_free_memory()

@@ -81,7 +81,8 @@ class JobOptions(Request):
     reuse: bool = Field(
         False,
         description="Succeed at once with the result of a job of yours that has succeeded with the "
-        "same shapes, settings, device and code.",
+        "same shapes, settings, device and code. With `states_every` the job is computed all the "
+        "same, since the other may have kept no states.",
     )
     states_every: StatesEvery = Field(0, description=STATES_EVERY)
 

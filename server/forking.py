@@ -20,6 +20,7 @@ from chamfer_morph.server.submission import (
     idempotent_id,
 )
 from chamfer_morph.worker.frame_reader import read_run_record
+from chamfer_morph.worker.job_listing import DISK_BYTES
 from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.kept_states import find_state
 from morph_engine.cost import estimate_run
@@ -101,30 +102,32 @@ def _begin(
             "fork": ForkOrigin(job=job.id, frame=state.frame),
         }
     )
-    context.quotas.check_disk(caller.name, disk_bytes(run.particle_count, spec))
-    try:
-        storage.claim(fork_id, 0)
-        begin_fork(storage.result_path(job.id), state, config, storage.result_path(fork_id))
-        storage.publish(fork_id)
-    except BaseException:
-        if context.queue.get(fork_id) is None:  # else another process has made it meanwhile
-            storage.remove_job(fork_id)
-        raise
+    needed = disk_bytes(run.particle_count, spec)
     share = (config.frames - state.frame - 1) / config.frames
     inherited = {
         name: job.attributes[name]
         for name in ("method", "preset", "source_name", "target_name", "placement")
         if name in job.attributes
     }
-    context.queue.enqueue(
-        spec,
-        job_id=fork_id,
-        owner=caller.name,
-        priority=request.priority,
-        attributes=inherited
-        | {
-            "name": request.name,
-            "body": body,
-            "estimate": job.estimate * share,
-        },
-    )
+    with context.quotas.promising_disk(caller.name, needed):
+        try:
+            storage.claim(fork_id, 0)
+            begin_fork(storage.result_path(job.id), state, config, storage.result_path(fork_id))
+            storage.publish(fork_id)
+        except BaseException:
+            if context.queue.get(fork_id) is None:  # else another process has made it meanwhile
+                storage.remove_job(fork_id)
+            raise
+        context.queue.enqueue(
+            spec,
+            job_id=fork_id,
+            owner=caller.name,
+            priority=request.priority,
+            attributes=inherited
+            | {
+                "name": request.name,
+                "body": body,
+                "estimate": job.estimate * share,
+                DISK_BYTES: needed,
+            },
+        )

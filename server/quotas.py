@@ -96,6 +96,8 @@ class Quotas:
         self._lock = threading.Lock()
         self._reservations = reservations
         self._bytes_let_in: Counter[str] = Counter()
+        self._promised: Counter[str] = Counter()
+        self._changes: Counter[str] = Counter()
 
     @contextmanager
     def letting_in_jobs(
@@ -114,13 +116,21 @@ class Quotas:
         Raises:
             ProblemError: 429 or 413.
         """
-        self.check_disk(owner, needed_bytes)
         limit = self._settings.queued_jobs_per_key
         cause = "This key has {there} unfinished jobs; the limit is {limit}."
         remedy = "Wait for some to finish, or cancel them."
         there = partial(self._queue.unfinished, owner)
-        with self._letting_in("jobs", owner, adding, limit, there, cause, remedy) as reserved:
+        with (
+            self.promising_disk(owner, needed_bytes),
+            self._letting_in("jobs", owner, adding, limit, there, cause, remedy) as reserved,
+        ):
             yield reserved.release_one
+
+    @contextmanager
+    def submitting_sweep(self, sweep_id: str) -> Iterator[bool]:
+        """Tell whether no other request submits the same sweep at this moment."""
+        with self._reservations.reserving("sweep", sweep_id, 1, 1, lambda: 0) as reserved:
+            yield not reserved.refused
 
     def letting_in_webhook(
         self, owner: str, count: Callable[[], int]
@@ -227,12 +237,8 @@ class Quotas:
             self._bytes_let_in[owner] += count
             return self._bytes_let_in[owner]
 
-    def check_disk(self, owner: str, needed_bytes: int = 0) -> None:
-        """Refuse a key whose meshes and jobs fill the disk that it may fill, or would with more.
-
-        Args:
-            owner: Name of the key.
-            needed_bytes: What it is about to add [bytes].
+    def check_disk(self, owner: str) -> None:
+        """Refuse a key whose meshes and jobs fill the disk that it may fill.
 
         Raises:
             ProblemError: 413.
@@ -240,14 +246,49 @@ class Quotas:
         used, limit = self.used_bytes(owner), self._settings.disk_bytes_per_key
         if used >= limit:
             raise _disk_is_full(used, limit)
-        if used + needed_bytes > limit:
-            raise _refusal(
-                413,
-                f"This would take about {needed_bytes / 1e9:,.1f} GB of disk, and this "
-                f"key has {(limit - used) / 1e9:,.1f} GB left.",
-                "Request fewer `frames`, states (`states_every`) or particles; or delete "
-                "jobs or meshes that are no longer needed.",
-            )
+
+    @contextmanager
+    def promising_disk(self, owner: str, needed_bytes: int) -> Iterator[None]:
+        """Refuse jobs that do not fit on the disk that their key may fill.
+
+        They count until the end of the body, when they are in the queue, and count there.
+
+        Args:
+            owner: Name of the key.
+            needed_bytes: What the jobs will fill [bytes].
+
+        Raises:
+            ProblemError: 413.
+        """
+        self.check_disk(owner)
+        while not self._promise(owner, needed_bytes):
+            pass
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._promised[owner] -= needed_bytes
+                self._forget_measured(owner)
+
+    def _promise(self, owner: str, needed_bytes: int) -> bool:
+        """Count jobs that are let in; False if something has changed as the disk was measured."""
+        change, used = self._measured(owner)
+        limit = self._settings.disk_bytes_per_key
+        with self._lock:
+            if change != self._changes[owner]:
+                return False
+            left = limit - used - self._promised[owner]
+            if needed_bytes > left:
+                raise _refusal(
+                    413,
+                    f"This would take about {needed_bytes / 1e9:,.1f} GB of disk, and this key has "
+                    f"{max(left, 0) / 1e9:,.1f} GB left, with all that its unfinished jobs are "
+                    "expected to fill.",
+                    "Request fewer `frames`, states (`states_every`) or particles; or delete "
+                    "jobs or meshes that are no longer needed.",
+                )
+            self._promised[owner] += needed_bytes
+        return True
 
     def available_bytes(self, owner: str) -> int:
         """Disk that a key may still fill, measured now [bytes].
@@ -260,12 +301,23 @@ class Quotas:
         return max(self._settings.disk_bytes_per_key - self.used_bytes(owner), 0)
 
     def used_bytes(self, owner: str) -> int:
-        """Disk that a key fills, measured within the last half minute [bytes]."""
-        measured_at, used = self._disk.get(owner, (float("-inf"), 0))
+        """Disk that a key fills, and its unfinished jobs will [bytes].
+
+        Measured within the last half minute.
+        """
+        return self._measured(owner)[1]
+
+    def _measured(self, owner: str) -> tuple[int, int]:
+        """The number of the last change that is known of, and what is used after it [bytes]."""
+        with self._lock:
+            change = self._changes[owner]
+            measured_at, used = self._disk.get(owner, (float("-inf"), 0))
         if time.monotonic() - measured_at > DISK_SECONDS:
             used = self._measured_bytes(owner)
-            self._disk[owner] = (time.monotonic(), used)
-        return used
+            with self._lock:
+                if change == self._changes[owner]:
+                    self._disk[owner] = (time.monotonic(), used)
+        return change, used
 
     @contextmanager
     def _letting_in(
@@ -289,6 +341,11 @@ class Quotas:
 
     def invalidate(self, owner: str) -> None:
         """Something of this key has been made or deleted."""
+        with self._lock:
+            self._forget_measured(owner)
+
+    def _forget_measured(self, owner: str) -> None:
+        self._changes[owner] += 1
         self._disk.pop(owner, None)
 
     def job_changed(self, job: str, owner: str) -> None:

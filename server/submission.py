@@ -20,6 +20,7 @@ from chamfer_morph.server.http.problems import ProblemError
 from chamfer_morph.server.reuse import TAKEOVER_SECONDS, find_equal, run_digest, take_over
 from chamfer_morph.server.solids import find_solid
 from chamfer_morph.worker.job import JobSpec
+from chamfer_morph.worker.job_listing import DISK_BYTES
 from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.kept_states import states_bytes
 from chamfer_morph.worker.settings import Settings
@@ -28,7 +29,7 @@ from morph_engine.config import MorphConfig
 from morph_engine.cost import BYTES_IN_RESULT, Estimate, estimate
 from morph_engine.errors import ConfigError, MeshError, ResourceError
 from morph_engine.geometry.placement import Placement, place
-from morph_engine.geometry.sampling import FIT_REMEDY, MINIMUM_PARTICLES, Similarity
+from morph_engine.geometry.sampling import MINIMUM_PARTICLES, Similarity, size_remedy
 from morph_engine.geometry.solid import Solid
 from morph_engine.results.run_record import config_at
 
@@ -98,6 +99,7 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
         timeout_seconds=min(request.timeout_seconds or limit, limit),
         states_every=request.states_every,
     )
+    needed = disk_bytes(counts[0], spec)
     return Submission(
         spec=spec,
         attributes={
@@ -111,10 +113,11 @@ def prepare(request: JobRequest, caller: Caller, context: ServerContext) -> Subm
             "target_name": names[-1],
             "placement": _job_placement(placement).model_dump_json(),
             "estimate": expected.seconds,
+            DISK_BYTES: needed,
         },
         priority=request.priority,
         reuse=request.reuse,
-        disk_bytes=disk_bytes(counts[0], spec),
+        disk_bytes=needed,
     )
 
 
@@ -221,7 +224,7 @@ def submit(
             another request.
     """
     equal = None
-    if submission.reuse:
+    if submission.reuse and not submission.spec.states_every:  # an equal job may have kept none
         equal = find_equal(submission.spec, caller.name, context.queue, context.storage)
     with context.mesh_locks.holding(submission.spec.meshes):
         check_meshes(submission.spec, context)
@@ -290,13 +293,13 @@ def _particle_count(name: str, solid: Solid, to_grid: Similarity, config: MorphC
         raise MeshError(
             f"{name} reaches {reach:.4g} grid units from the centre, beyond the domain, "
             f"which ends at {config.domain:g}.",
-            FIT_REMEDY,
+            size_remedy(name),
         )
     volume = solid.volume * to_grid.scale**3
     count = round(volume / config.spacing**3)
     if count < MINIMUM_PARTICLES:
         raise MeshError(
             f"{name} has room for only about {count} particles, fewer than {MINIMUM_PARTICLES}.",
-            f"Raise `sampling.points_per_cell_edge`, or lower `grid.dx`. {FIT_REMEDY}",
+            f"Raise `sampling.points_per_cell_edge`, or lower `grid.dx`. {size_remedy(name)}",
         )
     return count

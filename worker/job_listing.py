@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from functools import cached_property
 from typing import Any
@@ -21,6 +22,9 @@ from chamfer_morph.worker.own_queue import (
     QUEUE,
     WORKFLOW,
 )
+
+DISK_BYTES = "disk_bytes"
+"""Attribute of a job: the disk that it is expected to fill [bytes]."""
 
 RECORD_CACHE_SIZE = 4096
 """Jobs that a process remembers as it last read them."""
@@ -197,6 +201,28 @@ class JobListing:
             self._select(c.workflow_uuid).where(c.completed_at > after, mine),
         )
         return [job for query in queries for (job,) in self._rows(query)]
+
+    def expected_bytes(self, owner: str) -> dict[str, int]:
+        """What an owner's unfinished jobs are expected to fill, by their ids [bytes]."""
+        needed = sa.cast(self._workflows.attribute(DISK_BYTES), sa.BigInteger)
+        query = self._select(self._table.c.workflow_uuid, sa.func.coalesce(needed, 0))
+        rows = self._rows(query.where(self._unfinished, self._and_owned_by(owner)))
+        return {job: int(size) for job, size in rows}
+
+    @contextmanager
+    def holding_finished(
+        self, jobs: Collection[tuple[str, str, int]]
+    ) -> Iterator[tuple[sa.Connection, set[str]]]:
+        """A transaction, and the ids of those of some jobs that are still finished as they were.
+
+        These stay so to its end. Jobs are as `finished` returns them.
+        """
+        c, ids = self._table.c, [job for job, *_ in jobs]
+        query = sa.select(c.workflow_uuid, c.completed_at).where(c.workflow_uuid.in_(ids))
+        with self._workflows.begin() as connection:
+            rows = connection.execute(query.with_for_update(read=True))
+            found = {(job, int(at)) for job, at in rows if at is not None}
+            yield connection, {job for job, _, at in jobs if (job, at) in found}
 
     def position(self, job_id: str) -> int | None:
         """Jobs that start before a queued one; None if it is not queued, or paused."""

@@ -25,7 +25,7 @@ from dbos import (
 from dbos import error as dbos_error
 
 from chamfer_morph.schemas import JobState, Outcome
-from chamfer_morph.worker import job_trace
+from chamfer_morph.worker import job_trace, start_times
 from chamfer_morph.worker.alarm import CHANNEL
 from chamfer_morph.worker.dbos_adapter import SERIALIZER, WorkflowTable, database, migrate
 from chamfer_morph.worker.job import JobSpec
@@ -81,6 +81,7 @@ class JobQueue(JobListing):
         Webhooks.create_tables(self._engine)
         with self._workflows.begin() as connection:
             create_triggers(connection, self._workflows.name)
+            start_times.create_trigger(connection, self._workflows.name)
         self._client.register_queue(
             QUEUE,
             worker_concurrency=1,

@@ -35,6 +35,11 @@ def fit_alone(solid: Solid, fit: Fit, reach: float = FIT_HALF_EXTENT) -> Similar
     return fitting_similarity(solid.volume, solid.bounds, mode=fit, reach=reach)
 
 
+def reach_in(half_extent: float) -> float:
+    """Half edge of the cube that shapes may fill in a domain of this one [grid units]."""
+    return FIT_HALF_EXTENT * min(1.0, half_extent / HALF_EXTENT)
+
+
 def shape_names(count: int) -> list[str]:
     """Of so many shapes, as they stand in a sentence."""
     return ["the source", *(f"shape {number}" for number in range(2, count)), "the target"]
@@ -56,7 +61,7 @@ def automatic_fit(solids: Sequence[Solid], half_extent: float) -> tuple[list[Sim
         solids: The shapes, from the source to the target.
         half_extent: Half edge of the usable cube [grid units].
     """
-    reach = FIT_HALF_EXTENT * min(1.0, half_extent / HALF_EXTENT)
+    reach = reach_in(half_extent)
     usual = [fit_alone(solid, "volume", reach) for solid in solids]
     unchanged = [Similarity()] * len(solids)
 

@@ -17,10 +17,6 @@ from morph_engine.row_blocks import row_blocks
 
 Floats = npt.NDArray[np.float64]
 
-CLEARANCE = 1e-3
-"""From the plane of a triangle, below which no path begins: the winding number there, found in
-float32, could be that of the other side [cells]."""
-
 TOUCH = 1e-7
 """From the border of a cone, below which it is left open whether a path crosses [cells]."""
 
@@ -52,7 +48,11 @@ class Cones:
 
 
 def count_crossings(
-    ends: Floats, first: npt.NDArray[np.integer], last: npt.NDArray[np.integer], cones: Cones
+    ends: Floats,
+    first: npt.NDArray[np.integer],
+    last: npt.NDArray[np.integer],
+    cones: Cones,
+    clearance: float,
 ) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.bool_]]:
     """What triangles change the winding number by along paths to these ends, and where in doubt.
 
@@ -61,6 +61,7 @@ def count_crossings(
         first: The first cone of each that may be entered, shape [n].
         last: One past the last of them, shape [n].
         cones: As seen from where the paths begin.
+        clearance: From the plane of a triangle, below which no path begins [cells].
     """
     change, doubtful = np.zeros(len(ends), np.int8), np.zeros(len(ends), np.bool_)
     for block in row_blocks(len(ends)):
@@ -71,6 +72,6 @@ def count_crossings(
         within[3] -= cones.distance[cone]
         depth = within.min(axis=0)
         change[block] = np.bincount(path, cones.change[cone] * (depth > 0), len(counts))
-        doubt = (np.abs(depth) < TOUCH) | (cones.distance[cone] < CLEARANCE)
+        doubt = (np.abs(depth) < TOUCH) | (cones.distance[cone] < clearance)
         doubtful[block][path[doubt]] = True
     return change, doubtful

@@ -28,6 +28,9 @@ trimesh: Any = lazy.load("trimesh")
 
 PLAIN_FORMATS = ("obj", "ply", "stl", "off", "glb", "gltf")
 FORMATS = (*PLAIN_FORMATS, "zip")
+TEXT_PREFIX = "text:"
+"""Of names of meshes that are texts."""
+
 FILE_BYTES_LIMIT = 256 * 2**20
 INSTANCE_LIMIT = 20_000_000
 COORDINATE_LIMIT = 1e9

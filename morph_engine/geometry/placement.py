@@ -10,7 +10,13 @@ from pydantic import BaseModel, Field
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry import rotation as rotations
-from morph_engine.geometry.automatic_fit import COMES_BACK, automatic_fit, fit_alone, shape_names
+from morph_engine.geometry.automatic_fit import (
+    COMES_BACK,
+    automatic_fit,
+    fit_alone,
+    reach_in,
+    shape_names,
+)
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.sampling import HALF_EXTENT, Fit, Similarity
 from morph_engine.geometry.solid import Solid
@@ -123,7 +129,7 @@ def place(
     if fit == "auto":
         placed, message = automatic_fit(every, half_extent)
     elif fit != "none":
-        placed = [fit_alone(solid, fit) for solid in every]
+        placed = [fit_alone(solid, fit, reach_in(half_extent)) for solid in every]
     stops = [
         _posed(similarity.after(turn), solid, pose, name, half_extent) if solid else Similarity()
         for similarity, turn, solid, pose, name in zip(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry import rotation as rotations
-from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.mesh import TEXT_PREFIX, Mesh
 from morph_engine.geometry.rotation import Quaternion
 from morph_engine.geometry.winding_number import inside
 
@@ -42,7 +42,10 @@ LATTICE_LIMIT = 50_000_000
 """Most lattice points a mesh may ask for; the usual domain at 8 points per cell edge has 17 M."""
 
 FIT_REMEDY = "To have it scaled and centred, set `sampling.fit` to auto or volume."
-"""Remedy for what is too large or too small."""
+"""Remedy for a mesh that is too large or too small."""
+
+TEXT_REMEDY = "Use fewer letters: texts are not scaled."
+"""The same for a text."""
 
 CHUNK = 1 << 20
 """Lattice points tested at once; bounds the memory of sampling to about 100 MB."""
@@ -79,7 +82,7 @@ def sample_lattice(
     if np.prod((upper - lower) / spacing + 2) > LATTICE_LIMIT:
         raise MeshError(
             f"{mesh.name} needs a lattice of more than {LATTICE_LIMIT:,} points.",
-            FIT_REMEDY,
+            size_remedy(mesh.name),
         )
     lattice = (
         _published_lattice(mesh, spacing, seed)
@@ -91,9 +94,14 @@ def sample_lattice(
         raise MeshError(
             f"{mesh.name} holds only {len(positions)} particles at a spacing of {spacing:.4g} "
             f"grid units, fewer than {minimum_count}.",
-            f"Raise `sampling.points_per_cell_edge`. {FIT_REMEDY}",
+            f"Raise `sampling.points_per_cell_edge`. {size_remedy(mesh.name)}",
         )
     return positions
+
+
+def size_remedy(name: str) -> str:
+    """What to do about a shape of this name that is too large or too small."""
+    return TEXT_REMEDY if name.startswith(TEXT_PREFIX) else FIT_REMEDY
 
 
 def _published_lattice(

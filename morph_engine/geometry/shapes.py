@@ -19,13 +19,12 @@ import scipy
 
 from morph_engine import kept_results
 from morph_engine.errors import MeshError, unknown_name
-from morph_engine.geometry.mesh import FORMATS, Mesh, load_mesh, make_mesh
+from morph_engine.geometry.mesh import FORMATS, TEXT_PREFIX, Mesh, load_mesh, make_mesh
 from morph_engine.geometry.sampling import fit_to_domain
 from morph_engine.optional_packages import require
 
 trimesh: Any = lazy.load("trimesh")
 
-TEXT_PREFIX = "text:"
 TEXT_LIMIT = 60
 
 Floats = npt.NDArray[np.float64]

@@ -21,12 +21,13 @@ COARSENING = 4
 def mesh_distance(mesh: Mesh, axis: NDArray[np.float64], band: float) -> NDArray[np.float32]:
     """Signed distance to a mesh, which may be open: the winding number tells what is inside.
 
-    Exact within `band` of the surface; farther away interpolated between every fourth point.
+    Exact where the distance interpolated between every fourth point is below `band`: so at the
+    surface, but for what is thinner than their gaps, and a little less far from it where it bends.
 
     Args:
         mesh: The mesh [dx].
         axis: Coordinates of the lattice along each axis [dx], ascending evenly, shape [n].
-        band: Distance up to which each lattice point has its own [dx].
+        band: Interpolated distance up to which each lattice point gets its own [dx].
 
     Returns:
         Distances [dx], shape [n, n, n].

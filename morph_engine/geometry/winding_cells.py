@@ -32,6 +32,13 @@ EFFORT_PER_OPEN_EDGE, EFFORT_PER_TRIANGLE, EFFORT_PER_CROSSING = 0.02, 0.15, 0.0
 """What a smallest cell takes beside the winding number at its centre: an open edge, a triangle that
 cuts it, and each pair of such a triangle and a point. Of the effort for a winding number."""
 
+CLEARANCE = 1e-3
+"""From the plane of a triangle, below which no path begins: the winding number there, found in
+float32, could be that of the other side [cells]."""
+
+ROUNDING = 1e-6
+"""Of these float32 numbers, relative to the size of the mesh."""
+
 MOST_PAIRS = 10_000_000
 """Triangles and cells near each other; with more it takes too long."""
 
@@ -73,7 +80,8 @@ def winding_cells(
     least, most = extent(points)
     span = most - least
     edge = float(np.cbrt(np.prod(span) * POINTS_PER_CELL / len(points)))
-    edge = max(edge, float(span.max()) / MOST_ALONG, 1e-300)
+    edge = max(edge, float(span.max()) / MOST_ALONG) or 1.0  # of points in one place
+    size_of_mesh = float(np.ptp(vertices, axis=0).max())
     found = _Found(least, open_edges)
     cell, crossed = np.full(len(points), -1), np.zeros(len(points), np.int8)
     rest, place = np.arange(len(points)), (points - least) / edge
@@ -98,7 +106,8 @@ def winding_cells(
         centres = _unflat(cut[order], size) + 0.5
         cones = Cones.behind(corners[faces[triangle[order]]] - centres[:, None])
         ends = place - np.floor(place) - 0.5
-        change, doubtful = count_crossings(ends, first[key], first[key + 1], cones)
+        clearance = max(CLEARANCE, ROUNDING * size_of_mesh / edge)
+        change, doubtful = count_crossings(ends, first[key], first[key + 1], cones, clearance)
         sure = rest[~doubtful]
         crossed[sure] = change[~doubtful]
         cell[sure] = found.add(worth, size, edge)[key[~doubtful]]
@@ -176,8 +185,9 @@ def open_edges(vertices: Floats, faces: npt.NDArray[np.integer]) -> tuple[Floats
     balance = np.bincount(which, weights=np.where(begin < end, 1, -1), minlength=len(edges))
     open_ones = np.flatnonzero(balance)
     ends = vertices[np.stack(np.divmod(edges[open_ones], len(vertices)))]
-    lengths = np.linalg.norm(ends[1] - ends[0], axis=1)
-    return (ends[0] + ends[1]) / 2, np.abs(balance[open_ones]) * lengths
+    lengths = np.abs(balance[open_ones]) * np.linalg.norm(ends[1] - ends[0], axis=1)
+    long = lengths > 0  # others, of faces without area, change nothing
+    return (ends[0] + ends[1])[long] / 2, lengths[long]
 
 
 def _cut(

@@ -66,7 +66,7 @@ REBUILD_EVERY = 10
 stay so for longer."""
 
 BAND = 1.5
-"""Distances to a surface are exact so far from it [cells]."""
+"""Distances to a surface are exact so far from it, or a little less [cells]."""
 
 
 MARGIN = 5
@@ -153,7 +153,8 @@ class FlowOptions(MpmOptions):
         return smoothstep(frame / ((1 - self.rest) * frames))
 
     def check_grid(self, grid: GridConfig) -> None:
-        """Nothing: `time.dt` is no step of the flow, and its waves are as slow as its steps ask."""
+        """Its waves are as slow as its time steps ask, of which there are some in a frame."""
+        self.check_drag(self.time.dt * self.time.transitions_per_frame / self.steps_per_frame)
 
     def check_legs(self, count: int) -> None:
         """Refuse landmarks, which belong to one source and one target."""

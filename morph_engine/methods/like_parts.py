@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from morph_engine import flow, kept_results
+from morph_engine import flow, geometry, kept_results
 from morph_engine.blas_threads import one_blas_thread
 from morph_engine.errors import ConfigError
 from morph_engine.methods.method import Problem
@@ -174,13 +174,14 @@ def _placed(
         ConfigError: One is not at the shape.
     """
     placed = np.array(marks, np.float64).reshape(-1, 3) @ to_grid[:3, :3].T + to_grid[:3, 3]
-    lower, upper = (points.min(axis=0), points.max(axis=0))
     for mark, place in zip(marks, placed, strict=True):
         distance = float(np.linalg.norm(points - place, axis=1).min())
         if distance > LANDMARK_REACH:
             to_user = np.linalg.inv(to_grid)
-            corners = np.array([lower, upper]) @ to_user[:3, :3].T + to_user[:3, 3]
-            lowest, highest = (", ".join(f"{x:.4g}" for x in corner) for corner in corners)
+            own = points @ to_user[:3, :3].T + to_user[:3, 3]
+            lowest, highest = (
+                ", ".join(f"{x:.4g}" for x in corner) for corner in geometry.extent(own)
+            )
             raise ConfigError(
                 f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
                 f"outside the shape, which reaches from ({lowest}) to ({highest}).",

@@ -51,6 +51,15 @@ class MpmOptions(MethodOptions):
                 f"time.dt = {self.time.dt:g} s exceeds the stability limit of "
                 f"{largest:.4g} s for this material and grid"
             )
+        self.check_drag(self.time.dt)
+
+    def check_drag(self, dt: float) -> None:
+        """Refuse drag that would turn velocities around in a time step [s]."""
+        if self.material.drag * dt >= 1:
+            raise ValueError(
+                f"material.drag = {self.material.drag:g} / s is too large for time steps of "
+                f"{dt:.4g} s: their product must be below 1"
+            )
 
 
 MpmOptionsT = TypeVar("MpmOptionsT", bound=MpmOptions)

@@ -12,10 +12,21 @@ from chamfer_morph.schemas import Key, Scope
 from chamfer_morph.server.database.callers import SCOPE_ORDER, Caller, secret_digest
 from chamfer_morph.server.database.share_links import ShareLinkStore
 from chamfer_morph.server.database.tables import KeyRow, as_time, insert, now
+from chamfer_morph.worker.locks import lock_transaction
 from chamfer_morph.worker.webhooks.webhooks import Webhooks
 from morph_engine.errors import ConfigError
 
 PREFIX = "morph_"
+
+
+class LastAdminError(ConfigError):
+    """The last key that can make others is to be revoked before these."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"{name} is the last key that can make keys.",
+            "Revoke the others first, or make another with the scope admin.",
+        )
 
 
 class ApiKeyStore:
@@ -74,16 +85,22 @@ class ApiKeyStore:
             return found.first() is not None
 
     def remove(self, name: str) -> bool:
-        """Revoke a key with its webhooks and share links; False if there is none of that name."""
-        self._remove_made_by(name)
-        with self._engine.begin() as connection:
-            found = connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount
-        self._remove_made_by(name)  # what came between; what comes later finds no key
-        return bool(found)
+        """Revoke a key with its webhooks and share links; False if there is none of that name.
 
-    def _remove_made_by(self, name: str) -> None:
-        Webhooks(self._engine).remove_of(name)
+        To be repeated if it was interrupted.
+
+        Raises:
+            LastAdminError: The others could not make keys; it stays.
+        """
+        with self._engine.begin() as connection:
+            lock_transaction(connection, "morph keys")  # two may revoke each other
+            found = connection.execute(sa.delete(KeyRow).where(KeyRow.name == name)).rowcount
+            others = connection.execute(sa.select(KeyRow.scopes)).scalars().all()
+            if found and others and not any("admin" in scopes.split() for scopes in others):
+                raise LastAdminError(name)
+        Webhooks(self._engine).remove_of(name)  # who makes more finds no key
         ShareLinkStore(self._engine).remove_of(name)
+        return bool(found)
 
     def _rows(self) -> list[KeyRow]:
         with Session(self._engine) as session:

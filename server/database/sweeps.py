@@ -14,10 +14,12 @@ class SweepStore:
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine
 
-    def add(self, sweep_id: str, owner: str, name: str, body: str) -> SweepRow:
-        """Note a sweep; one that is there already stays, and is answered."""
+    def add(self, sweep_id: str, owner: str, name: str, body: str) -> tuple[SweepRow, bool]:
+        """Note a sweep; one that is there already stays. Returns it, and whether it is new."""
         row = SweepRow(sweep_id, owner, name, body, now())
-        return row if insert(self._engine, row) else self.get(sweep_id) or row
+        if insert(self._engine, row):
+            return row, True
+        return self.get(sweep_id) or row, False
 
     def get(self, sweep_id: str) -> SweepRow | None:
         """A sweep, or None."""

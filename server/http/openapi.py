@@ -21,7 +21,8 @@ from chamfer_morph.schemas import (
 from chamfer_morph.server.http.problems import MEDIA_TYPE, PROBLEM_TYPES, ProblemError
 from morph_engine import methods, presets
 from morph_engine.geometry import shapes
-from morph_engine.geometry.shapes import TEXT_LIMIT, TEXT_PREFIX
+from morph_engine.geometry.mesh import TEXT_PREFIX
+from morph_engine.geometry.shapes import TEXT_LIMIT
 
 MODELS = (
     ExportRequest,

@@ -52,7 +52,7 @@ async def save_upload(
     folder: Path,
     name: str,
     max_bytes: int,
-    count: Callable[[int], None],
+    count: Callable[[int], None] | None,
 ) -> AsyncIterator[Upload]:
     """Write what comes in to a temporary file, gone in the end unless it was moved.
 
@@ -61,7 +61,7 @@ async def save_upload(
         folder: Where to put the file.
         name: What the user calls it.
         max_bytes: Its largest size.
-        count: Told of the bytes that are written; may refuse more.
+        count: Told of the bytes that are written, unless they are counted already; may refuse more.
 
     Raises:
         ProblemError: 413, it is larger.
@@ -76,7 +76,8 @@ async def save_upload(
                 size += len(chunk)
                 if size > max_bytes:
                     raise too_large(max_bytes)
-                count(len(chunk))
+                if count is not None:
+                    count(len(chunk))
                 digest.update(chunk)
                 await file.write(chunk)
         yield Upload(path, name, digest.hexdigest(), size)

@@ -12,6 +12,7 @@ from chamfer_morph.server.context import ServerContext
 from chamfer_morph.worker.job_listing import RECORD_CACHE_SIZE
 from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.progress import JobProgress, read_progress
+from morph_engine.files import shortened
 
 
 def file_stem(record: JobRecord) -> str:
@@ -21,8 +22,8 @@ def file_stem(record: JobRecord) -> str:
         *record.via_names,
         str(record.attributes.get("target_name", "target")),
     ]
-    plain = [re.sub(r"\W+", "-", Path(name).stem, flags=re.ASCII).strip("-") for name in names]
-    stem = "-to-".join(name or "shape" for name in plain)
+    plain = [re.sub(r"\W+", "-", Path(name).stem).strip("-") for name in names]
+    stem = shortened("-to-".join(name or "shape" for name in plain))
     partial = "" if record.state is JobState.SUCCEEDED else "-partial"
     return f"{stem}{partial}"
 

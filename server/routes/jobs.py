@@ -34,7 +34,7 @@ from chamfer_morph.server.routes.job_lookup import (
     find_job,
 )
 from chamfer_morph.server.routes.job_view import to_job, to_json
-from chamfer_morph.server.routes.meshes import store_uploads
+from chamfer_morph.server.routes.meshes import discard_meshes, store_uploads
 from chamfer_morph.server.submission import (
     check_meshes,
     idempotency_conflict,
@@ -45,6 +45,7 @@ from chamfer_morph.server.submission import (
 )
 from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
+from morph_engine.errors import MorphError
 
 router: APIRouter = APIRouter(prefix="/jobs", tags=["jobs"], route_class=AuthenticatedRoute)
 
@@ -142,11 +143,18 @@ async def submit_job(
     `target`. Everything is checked first, so a job that is accepted can run.
     """
     async with AsyncExitStack() as stack:
+        added: list[str] = []
         if media_type(request) == "multipart/form-data":
-            body = await _receive_form(request, caller, context, stack)
+            body, added = await _receive_form(request, caller, context, stack)
         else:
             body = await read_json(request, JobRequest, context.settings.body_bytes)
-        job, new = await anyio.to_thread.run_sync(_submit, body, idempotency_key, caller, context)
+        try:
+            job, new = await anyio.to_thread.run_sync(
+                _submit, body, idempotency_key, caller, context
+            )
+        except (MorphError, ProblemError):
+            await anyio.to_thread.run_sync(discard_meshes, added, caller, context)
+            raise
     accept(response, f"/v1/jobs/{job.id}", new=new)
     return job
 
@@ -215,6 +223,7 @@ def cancel_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     if job.state is not JobState.CANCELLED:
         check_allowed(job, "cancel")
         context.queue.cancel(job.id)
+        context.quotas.invalidate(job.owner)
     return to_job(find_job(job.id, caller, context), context)
 
 
@@ -309,8 +318,11 @@ def _submit(
 
 async def _receive_form(
     request: Request, caller: Caller, context: ServerContext, stack: AsyncExitStack
-) -> JobRequest:
-    """The request in a form, its files uploaded; nothing is kept if any part of it is wrong."""
+) -> tuple[JobRequest, list[str]]:
+    """The request in a form, its files stored, and the ids of those that the caller had not before.
+
+    Nothing is kept if any part of it is wrong.
+    """
     settings = context.settings
     incoming = await enter_in_thread(stack, context.quotas.letting_in_meshes(caller.name, 0))
     form = await stack.enter_async_context(receive_form(request, settings.body_bytes, incoming.add))
@@ -336,15 +348,16 @@ async def _receive_form(
             )
         folder, name = context.storage.uploads, file.filename or ""
         uploads[role] = await stack.enter_async_context(
-            save_upload(read_blocks(file), folder, name, settings.upload_bytes, incoming.add)
+            save_upload(read_blocks(file), folder, name, settings.upload_bytes, count=None)
         )
     shapes = {role: {"mesh": upload.sha256} for role, upload in uploads.items()}
     job = validate(body | shapes, JobRequest)
-    if uploads:
-        letting_in = context.quotas.letting_in_meshes(caller.name, len(uploads))
-        meshes = await enter_in_thread(stack, letting_in)
-        await store_uploads(list(uploads.values()), meshes, request, caller, context)
-    return job
+    if not uploads:
+        return job, []
+    letting_in = context.quotas.letting_in_meshes(caller.name, len(uploads))
+    meshes = await enter_in_thread(stack, letting_in)
+    stored = await store_uploads(list(uploads.values()), meshes, request, caller, context)
+    return job, [row.sha256 for row, new in stored if new]
 
 
 async def _text(part: UploadFile | str, max_bytes: int) -> bytes | str:

@@ -10,6 +10,7 @@ from fastapi.openapi.models import Example
 from chamfer_morph.schemas import Key, KeyRequest, NewKey
 from chamfer_morph.server.auth import Admin, AuthenticatedRoute
 from chamfer_morph.server.context import Context
+from chamfer_morph.server.database.api_keys import LastAdminError
 from chamfer_morph.server.http.problems import ProblemError, not_found
 
 router: APIRouter = APIRouter(prefix="/keys", tags=["keys"], route_class=AuthenticatedRoute)
@@ -56,15 +57,10 @@ def make_key(
 @router.delete("/{name}", status_code=204, operation_id="revokeKey", summary="Revoke a key")
 def revoke_key(name: str, caller: Admin, context: Context) -> None:
     """The key stops working at once; its jobs and meshes are kept, its webhooks are deleted."""
-    keys = {key.name: key for key in context.api_keys.all()}
-    if name not in keys:
+    try:
+        found = context.api_keys.remove(name)
+    except LastAdminError as error:
+        raise ProblemError(409, error.cause, error.remedy) from error
+    if not found:
         raise not_found("key", name)
-    others = [key for key in keys.values() if key.name != name]
-    if others and not any("admin" in key.scopes for key in others):
-        raise ProblemError(
-            409,
-            f"{name} is the last key that can make keys.",
-            "Revoke the others first, or make another with the scope admin.",
-        )
-    context.api_keys.remove(name)
     context.authenticator.invalidate()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -95,13 +95,12 @@ async def upload_mesh(
                     422, "The form has no file in the part `file`.", "Send the mesh in that part."
                 )
             chunks, name = read_blocks(file), name or file.filename or ""
+            count = None  # it is counted as it comes
         else:
             mesh_suffix(name)
-            chunks = request.stream()
+            chunks, count = request.stream(), incoming.add
         upload = await stack.enter_async_context(
-            save_upload(
-                chunks, context.storage.uploads, name, context.settings.upload_bytes, incoming.add
-            )
+            save_upload(chunks, context.storage.uploads, name, context.settings.upload_bytes, count)
         )
         (row, new), *_ = await store_uploads([upload], incoming, request, caller, context)
     response.headers["Location"] = f"/v1/meshes/{row.sha256}"
@@ -160,6 +159,14 @@ def delete_mesh(mesh_id: str, caller: Submitter, context: Context) -> None:
     find_mesh(mesh_id, caller, context)
     with context.mesh_locks.holding([mesh_id]):
         _delete(mesh_id, caller, context)
+    context.quotas.invalidate(caller.name)
+
+
+def discard_meshes(mesh_ids: list[str], caller: Caller, context: ServerContext) -> None:
+    """Delete uploads of the caller's that nothing came of, unless a job uses them by now."""
+    for mesh_id in mesh_ids:
+        with suppress(ProblemError), context.mesh_locks.holding([mesh_id]):
+            _delete(mesh_id, caller, context)
     context.quotas.invalidate(caller.name)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from itertools import product
 from typing import Annotated, Any, Literal
 
@@ -136,14 +137,29 @@ def _submit(
     }
     needed = sum(submission.disk_bytes for submission in missing.values())
     letting_in = context.quotas.letting_in_jobs(caller.name, len(missing), needed_bytes=needed)
-    with letting_in as queued:
-        stored = context.sweeps.add(sweep_id, caller.name, request.name, digest)
+    with ExitStack() as stack:
+        alone = stack.enter_context(context.quotas.submitting_sweep(sweep_id))
+        try:
+            queued = stack.enter_context(letting_in)
+        except ProblemError as refusal:
+            raise (refusal if alone else _being_submitted()) from None
+        stored, new = context.sweeps.add(sweep_id, caller.name, request.name, digest)
         if stored.body != digest:
             raise idempotency_conflict()
         for job_id, submission in missing.items():
             submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
             queued()
-    return _show(stored, context), known is None
+    return _show(stored, context), new
+
+
+def _being_submitted() -> ProblemError:
+    """The same request has come before, and takes up the room that this one asks for."""
+    return ProblemError(
+        503,
+        "The jobs of this sweep are being queued by an earlier request.",
+        "Repeat it in a few seconds.",
+        headers={"Retry-After": "3"},
+    )
 
 
 def _show(stored: StoredSweep, context: ServerContext) -> Sweep:

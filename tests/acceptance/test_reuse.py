@@ -42,6 +42,7 @@ def test_equal_jobs(cluster):
             client.submit("sphere", "star", **RUN | {"frames": 2}, reuse=True),
             client.submit("sphere", "star", **RUN, seed=1, reuse=True),
             client.submit("star", "sphere", **RUN, reuse=True),
+            client.submit("sphere", "star", **RUN, reuse=True, states_every=1),  # it kept none
         ):
             assert job.state == "queued"
         client.delete(first.id)

@@ -15,7 +15,7 @@ import pytest
 from chamfer_morph.client import AsyncMorphClient, MorphClient, retry
 from chamfer_morph.client.errors import ServiceError
 from morph_engine.errors import ConfigError, MorphError, ResultError
-from tests.patience import until
+from tests.patience import PATIENCE, until
 
 JOB_ID = "0" * 26
 STATE_PATH = f"/v1/jobs/{JOB_ID}"
@@ -537,3 +537,14 @@ def recorded_sleep(monkeypatch):
 
     monkeypatch.setattr(retry, "sleep", sleep)
     return slept
+
+
+@pytest.mark.parametrize("ending", ["", "; raise ValueError"])
+def test_a_client_that_is_not_closed_lets_the_program_end(ending):
+    """Also where the program ends with an error that it does not handle."""
+    with serving(as_json(job())) as (server, requests):
+        program = f"from chamfer_morph.client import MorphClient; c = MorphClient({server!r})"
+        command = [sys.executable, "-c", f"{program}; c.job({JOB_ID!r}){ending}"]
+        ended = subprocess.run(command, capture_output=True, timeout=PATIENCE, check=False)
+    assert ended.returncode == (1 if ending else 0), ended.stderr
+    assert requests

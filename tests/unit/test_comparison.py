@@ -21,6 +21,7 @@ from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.definitions import METRICS
 from morph_engine.metrics.deformation import deformation_metrics
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
+from morph_engine.morphing import morph
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import Spool
@@ -210,6 +211,30 @@ def test_shapes_are_brought_to_the_grid_of_a_result(result: Path) -> None:
     assert forth.values["outside_share"] == 0
     assert compare(in_user_units, result).values["two_sided"] == 0
     assert compare(result, result).values["two_sided"] == 0
+
+
+@pytest.mark.parametrize("frame", [0, 1, -1])
+def test_a_frame_equals_its_own_export(frame: int, tmp_path: Path) -> None:
+    """In the user's coordinates, which are the source's at first and the target's at the end."""
+    shapes = [tmp_path / "a.obj", tmp_path / "b.obj"]
+    for path, scale in zip(shapes, (0.3, 40.0), strict=True):
+        moved = replace(CUBE, vertices=CUBE.vertices * scale + scale)
+        trimesh.Trimesh(moved.vertices, moved.faces).export(path)
+    small = {"method": "dco", "frames": 3, "sampling.points_per_cell_edge": 1}
+    out = tmp_path / "r.vtkhdf"
+    for _ in morph(*shapes, configure("fast", small), out=out):
+        pass
+    with Trajectory(out) as run:
+        assert compare(run, run.positions_in_user_units(frame), frame=frame).values["hausdorff"] < (
+            1e-5
+        )
+        own = {0: shapes[0], -1: shapes[1]}.get(frame)
+        if own:
+            placed = compare(run, own, frame=frame).values["two_sided"]
+            points = run.run.source_points if frame == 0 else run.run.target_points
+            assert placed == pytest.approx(
+                chamfer_metrics(run.positions(frame), points, spacing=1.0)["two_sided"], abs=0.05
+            )
 
 
 def test_a_result_against_the_surface_of_its_target(result: Path) -> None:

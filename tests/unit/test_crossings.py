@@ -14,7 +14,7 @@ def crossings(ends, triangles):
     """What all these triangles change along paths from the origin."""
     cones = Cones.behind(np.asarray(triangles, float))
     first = np.zeros(len(ends), int)
-    return count_crossings(np.asarray(ends, float), first, first + len(triangles), cones)
+    return count_crossings(np.asarray(ends, float), first, first + len(triangles), cones, 1e-3)
 
 
 @pytest.mark.parametrize("flipped", [False, True])

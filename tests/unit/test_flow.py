@@ -1,9 +1,11 @@
 """The body, the pressure that matter flows by, like parts, and the method made of them."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -623,13 +625,27 @@ def test_a_landmark_may_have_a_name() -> None:
     assert config.model_dump(mode="json")["method"]["landmarks"] == [pair]
 
 
-def test_a_landmark_off_the_shape_is_refused() -> None:
-    """The message says how far off, and where the shape is."""
+def test_a_landmark_off_the_shape_is_refused(tmp_path: Path) -> None:
+    """The message says how far off, and where the shape is; nothing is left to be continued."""
     pair = {"source": (0.0, 20.0, 0.0), "target": (0.0, 0.0, 0.0)}
     config = configure(overrides=SMALL | {"landmarks": [pair]})
+    out = tmp_path / "result.vtkhdf"
     with pytest.raises(ConfigError, match=r"landmark 0, 20, 0 lies .* outside the shape") as caught:
-        next(iter(morph("sphere", "heart", config)))
+        next(iter(morph("sphere", "heart", config, out=out)))
     assert "coordinates of the mesh" in caught.value.remedy
+    assert not [*tmp_path.iterdir()]
+
+
+def test_where_a_turned_shape_is_is_told_in_its_own_coordinates() -> None:
+    """From its least coordinates to the largest, though the axes of the grid are others."""
+    pair = {"source": (0.0, 0.0, 0.0), "target": (0.0, 0.0, 30.0)}
+    turned = {"placement.target.rotate": (180.0, 0.0, 0.0)}
+    config = configure(overrides=SMALL | turned | {"landmarks": [pair]})
+    with pytest.raises(ConfigError, match="outside the shape") as caught:
+        next(iter(morph("sphere", "heart", config)))
+    found = re.findall(r"\(([^)]*)\)", caught.value.cause)
+    lowest, highest = ([float(x) for x in corner.split(", ")] for corner in found)
+    assert (np.array(lowest) < highest).all()
 
 
 def test_matter_fills_the_target_and_stays_one_body() -> None:

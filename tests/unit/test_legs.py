@@ -10,13 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chamfer_morph.worker.sandbox.derived_files import StoredSurface
+from chamfer_morph.worker.tasks import reconstruct_surface
 from morph_engine import Frame, Trajectory, configure, morph
 from morph_engine.comparison import compare, measure_path
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.geometry.placement import place
+from morph_engine.geometry.placement import place, placed
 from morph_engine.geometry.sampling import Similarity
 from morph_engine.geometry.shapes import make
 from morph_engine.geometry.solid import Solid
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface as surface_of
+from morph_engine.geometry.surface_reconstruction import surface_deviation
 from morph_engine.metrics.path import neighbor_metrics
 from morph_engine.morphing import prepare
 from morph_engine.results.spool import SpoolReader
@@ -52,6 +56,30 @@ def test_each_frame_knows_its_leg_and_is_measured_against_its_target(result: Pat
         assert (t2s[:, -1] < t2s[:, 0]).all()
         fills = run.metrics["iou"].reshape(3, FRAMES)
         assert np.isfinite(fills[:, -1]).all() and np.isnan(fills[:, :-1]).all()
+
+
+def test_the_surface_of_a_frame_is_measured_against_the_target_of_its_leg(
+    result: Path, tmp_path: Path
+) -> None:
+    """And not against the last one."""
+    with Trajectory(result) as run:
+        positions, record = run.positions(FRAMES), run.run
+    reconstruct_surface.run(result, FRAMES, tmp_path / "surfaces.npz")
+    found = StoredSurface.load(tmp_path / "surfaces.npz").report["deviation"]
+    surface = surface_of(positions, record.spacing_of(positions))
+    of_leg, last = (
+        surface_deviation(surface, placed(make(name), record.placement.target))
+        for name in ("star", "sphere")
+    )
+    assert found == of_leg != last
+
+
+def test_a_result_is_not_replaced_unless_asked_for(result: Path) -> None:
+    """By a run that names the same file, not even by its first frame."""
+    before = result.read_bytes()
+    with pytest.raises(ResultError, match="already exists"):
+        next(morph("sphere", "torus", small(), device="cpu", out=result))
+    assert result.read_bytes() == before
 
 
 def test_the_path_of_each_leg_is_measured_alone(result: Path) -> None:

@@ -13,7 +13,7 @@ from morph_engine.errors import MeshError
 from morph_engine.geometry import rotation as rotations
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.placement import Placement, place, placed
-from morph_engine.geometry.sampling import HALF_EXTENT, REFERENCE_VOLUME, Similarity
+from morph_engine.geometry.sampling import HALF_EXTENT, REFERENCE_VOLUME, Fit, Similarity
 from morph_engine.geometry.shapes import make, names
 from morph_engine.geometry.solid import Solid
 from morph_engine.morphing import prepare
@@ -303,3 +303,12 @@ def test_shapes_that_are_taken_as_they_are_are_not_turned():
     assert placement.target == placement.source == AS_IT_IS
     assert (placement.up, placement.turning) == ("z", "")
     assert place(source, target, fit="none", poses=pose(up="y")).target != AS_IT_IS
+
+
+@pytest.mark.parametrize("fit", ["auto", "volume", "extent"])
+@pytest.mark.parametrize("half_extent", [8.0, 16.0, 32.0])
+def test_each_fit_leaves_shapes_in_the_domain(fit: Fit, half_extent: float) -> None:
+    """Of any size."""
+    long = solid([-1.5, -0.5, -0.5], [1.5, 0.5, 0.5])
+    found = place(long, long, fit=fit, half_extent=half_extent)
+    assert np.abs(found.source.apply(long.bounds)).max() < half_extent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
 import igl
@@ -23,6 +24,7 @@ from morph_engine.geometry.sampling import (
     sample_lattice,
 )
 from morph_engine.geometry.shapes import make
+from morph_engine.geometry.winding_cells import open_edges
 from morph_engine.geometry.winding_number import FAST_WINDING_ERROR, inside, winding_number
 
 MESHES = Path(os.environ.get("MORPH_MESHES", Path(__file__).parents[3] / "shared" / "meshes"))
@@ -77,6 +79,30 @@ def test_holes_and_overlaps_have_an_inside():
     overlapping = make_mesh(double.vertices, double.faces, name="double")
     assert winding_number(overlapping, [[1, 0, 0]]) == pytest.approx(2, abs=0.02)
     assert inside(overlapping, [[1, 0, 0]]).all()
+
+
+@pytest.mark.parametrize("degenerate", [lambda a, b: [a, a, b], lambda a, b: [a, a, a]])
+def test_faces_without_area_change_no_inside(degenerate, monkeypatch):
+    """At the rim of a hole, where the edges of such a face are open."""
+    mesh = holed_ball()
+    middles, _ = open_edges(mesh.vertices, mesh.faces)
+    rim = np.argsort(np.linalg.norm(mesh.vertices - middles[0], axis=1))[:2]
+    faces = np.vstack([mesh.faces, [degenerate(*rim)]])
+    other = make_mesh(mesh.vertices, faces, name="with a degenerate face")
+    points = np.random.default_rng(0).uniform(*mesh.bounds, (40_000, 3))
+    each = inside(mesh, points)
+    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_IN_CELLS", 1)
+    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_PER_FACE", 0)
+    np.testing.assert_array_equal(inside(other, points), each)
+
+
+def test_points_in_one_place_have_an_inside(monkeypatch):
+    """Without a warning, too."""
+    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_IN_CELLS", 1)
+    monkeypatch.setattr("morph_engine.geometry.winding_number.FEWEST_PER_FACE", 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert inside(make("sphere"), np.zeros((100, 3))).all()
 
 
 def holed_ball():

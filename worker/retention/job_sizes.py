@@ -51,14 +51,16 @@ class JobSizes:
         """Measure the finished jobs that are not in the table, page by page."""
         while page := self._queue.finished_unless_in(_TABLE.c.job, PAGE):
             sizes = [(*job, self._storage.job_bytes(job[0])) for job in page]
-            with self._engine.begin() as connection:
-                ids = [job for job, *_ in sizes]
-                connection.execute(sa.delete(_TABLE).where(_TABLE.c.job.in_(ids)))
+            with self._queue.holding_finished(page) as (connection, unchanged):
                 rows = [
                     {"job": job, "owner": owner, "finished_at": at, "bytes": size}
                     for job, owner, at, size in sizes
+                    if job in unchanged  # not deleted, or begun again, as it was measured
                 ]
-                connection.execute(sa.insert(_TABLE), rows)
+                ids = [row["job"] for row in rows]
+                connection.execute(sa.delete(_TABLE).where(_TABLE.c.job.in_(ids)))
+                if rows:
+                    connection.execute(sa.insert(_TABLE), rows)
 
     def measure(self, job: str) -> None:
         """Measure a job again whose files have changed, if it is in the table."""
@@ -72,7 +74,7 @@ class JobSizes:
             connection.execute(sa.delete(_TABLE).where(_TABLE.c.job == job))
 
     def of(self, owner: str) -> int:
-        """Disk that the jobs of an owner fill [bytes]."""
+        """Disk that an owner's jobs fill, with what unfinished ones are expected to [bytes]."""
         now = round(time.time() * 1000)
         after = self._newest(_TABLE.c.finished_at <= now)  # by a clock that is not ahead
         measured = sa.select(_TABLE.c.job).where(
@@ -81,7 +83,9 @@ class JobSizes:
         with self._engine.connect() as connection:
             known = {job for (job,) in connection.execute(measured)}
         left = set(self._queue.unmeasured(owner, after)) - known
-        return self._sum(_TABLE.c.owner == owner) + sum(map(self._storage.job_bytes, left))
+        expected = self._queue.expected_bytes(owner)
+        unmeasured = (max(self._storage.job_bytes(job), expected.get(job, 0)) for job in left)
+        return self._sum(_TABLE.c.owner == owner) + sum(unmeasured)
 
     def total(self) -> int:
         """Disk that all measured jobs fill [bytes]."""

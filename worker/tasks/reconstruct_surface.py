@@ -41,7 +41,7 @@ def run(result: Path, index: int, path: Path) -> None:
             "largest": found.area_share_of_largest,
             "volume": found.volume,
         }
-        target, _ = record.fitted("target")
+        target, _ = record.leg(frame.leg).fitted("target")
         if target is not None:
             report["deviation"] = surface_deviation(found, target)
         colors = snapped = None

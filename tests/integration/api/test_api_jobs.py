@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 
+from chamfer_morph.cli.arguments import default_output
+from chamfer_morph.server.routes.job_view import file_stem
 from morph_engine import configure
 from morph_engine.morphing import prepare
 from morph_engine.results.spool import Spool
@@ -31,6 +34,33 @@ def test_a_submitted_job_waits_in_the_queue(either: Api) -> None:
     assert either.http.get(answer.headers["Location"]).json()["name"] == "first"
     config = either.http.get(f"/v1/jobs/{job['id']}/config").json()
     assert (config["frames"], config["seed"], config["preset"]) == (3, 7, "fast-5")
+
+
+@pytest.mark.parametrize("status", ["PENDING", "ENQUEUED"])
+def test_when_a_job_was_started_is_kept_as_it_is_cancelled(either: Api, status: str) -> None:
+    """Of one that waits it is not known; one that is resumed has not been started again."""
+    job = f"/v1/jobs/{either.submit()['id']}"
+    workflows, at = either.context.queue._workflows, 1_767_225_600_000
+    started = {"started_at_epoch_ms": at, "updated_at": at} if status == "PENDING" else {}
+    with workflows.begin() as connection:
+        connection.execute(sa.update(workflows.table).values({"status": status} | started))
+    assert either.http.post(f"{job}/cancel").status_code == 202
+    shown = either.http.get(job).json()
+    assert shown["state"] == "cancelled"
+    assert shown["started_at"] == ("2026-01-01T00:00:00Z" if started else None)
+    assert either.http.post(f"{job}/resume").status_code == 202
+    assert either.http.get(job).json()["started_at"] is None
+
+
+def test_long_names_make_files_that_can_be_written(api: Api, cube: bytes) -> None:
+    """Of several hundred letters a part is left."""
+    name = f"{'long' * 48}.obj"
+    mesh = api.http.post("/v1/meshes", params={"name": name}, content=cube).json()["id"]
+    job = api.submit(source={"mesh": mesh}, target={"mesh": mesh})["id"]
+    record = api.context.queue.get(job)
+    assert record is not None
+    assert len(file_stem(record).encode()) < 200
+    assert len(str(default_output(name, name)).encode()) < 200
 
 
 def test_a_job_through_several_shapes_counts_the_frames_of_all_legs(either: Api) -> None:

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -252,3 +253,26 @@ def test_a_scope_is_missed_before_the_body_is_read(api: Api) -> None:
     broken = {"content": b"{", "headers": reader | {"Content-Type": "application/json"}}
     for path in ("/v1/jobs", "/v1/sweeps", "/v1/keys", f"/v1/jobs/{'0' * 26}/exports"):
         assert api.http.post(path, **broken).status_code == 403, path
+
+
+def test_two_keys_cannot_revoke_each_other(either: Api) -> None:
+    """One that can make keys is left, however many are revoked at the same time."""
+    store = either.context.api_keys
+    for attempt in range(10):
+        pair = [f"{name}{attempt}" for name in ("ann", "bob")]
+        made = [store.add(name, ["admin"]) for name in pair]
+        store.add("carl", ["submit"])
+        secrets = [one[1] for one in made if one]
+
+        def revoke(index: int, pair: list[str] = pair, secrets: list[str] = secrets) -> int:
+            by = {"Authorization": f"Bearer {secrets[1 - index]}"}
+            return either.http.delete(f"/v1/keys/{pair[index]}", headers=by).status_code
+
+        with ThreadPoolExecutor(2) as pool:
+            answers = [*pool.map(revoke, range(2))]
+        assert answers.count(204) == 1
+        assert sum("admin" in key.scopes for key in store.all()) == 1
+        store.remove("carl")
+        for name in pair:
+            store.remove(name)
+        either.context.authenticator.invalidate()

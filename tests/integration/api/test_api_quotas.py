@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -122,7 +123,7 @@ def test_quotas_hold_over_processes(
         port=0,
         queued_jobs_per_key=23,
         meshes_per_key=3,
-        disk_bytes_per_key=1_000_000,
+        disk_bytes_per_key=60_000_000,  # of which the jobs are to fill 12
     )
     apis = start_apis(settings)
     body = MORPH | {"overrides": COARSE}
@@ -140,7 +141,7 @@ def test_quotas_hold_over_processes(
         while submit(0) == 202:
             pass
         assert len(apis[1].http.get("/v1/jobs", params={"limit": 100}).json()["items"]) == 23
-        large = [*pool.map(upload, [600_000, 600_001])]
+        large = [*pool.map(upload, [25_000_000, 25_000_001])]
         assert large.count(201) <= 1 and set(large) <= {201, 413}
         answers = [*pool.map(upload, range(12))]
     assert set(answers) == {201, 429} and answers.count(201) <= 3
@@ -198,18 +199,27 @@ def test_temporary_files_count(make_api: Callable[..., Api], cube: bytes) -> Non
 
 
 def test_disk_is_summed_up(either: Api, run: RunRecord) -> None:
-    """The sum is that of all folders, before and after the janitor has measured them."""
+    """The sum is that of all folders, before and after the janitor has measured them.
+
+    What is unfinished counts with what it is expected to fill.
+    """
     sizes, storage = either.context.job_sizes, either.context.storage
 
     def walked() -> int:
-        return sum(storage.job_bytes(path.name) for path in (storage.root / "jobs").iterdir())
+        expected = either.context.queue.expected_bytes("")
+        there = {path.name for path in (storage.root / "jobs").iterdir()}
+        return sum(
+            max(storage.job_bytes(job), expected.get(job, 0)) for job in there | expected.keys()
+        )
 
     jobs = [either.finished(run) for _ in range(3)]
     running = either.running(run)
     assert sizes.of("") == walked() > 0
     sizes.measure_finished()
     assert sizes.of("") == walked()
-    assert sizes.total() == walked() - storage.job_bytes(running)
+    expected = either.context.queue.expected_bytes("")
+    assert expected.keys() == {running} and expected[running] > 0
+    assert sizes.total() == walked() - max(storage.job_bytes(running), expected[running])
     later = either.finished(run)
     assert sizes.of("") == walked()
     either.http.get(f"/v1/jobs/{jobs[0]}/frames/0/surface")
@@ -298,8 +308,91 @@ def test_a_job_that_the_disk_has_no_room_for_is_refused(make_api: Callable[..., 
         assert "0.1 GB left" in answer.json()["detail"]
         assert "states_every" in answer.json()["remedy"]
     assert api.http.get("/v1/jobs").json()["items"] == []
-    api.submit(overrides=COARSE, frames=300)
+    job = api.submit(overrides=COARSE, frames=300)["id"]
+    assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
     api.submit(overrides=COARSE, frames=300, states_every=100)
+
+
+def test_jobs_that_wait_count_with_what_they_will_fill(
+    make_api: Callable[..., Api], database_url: str
+) -> None:
+    """One after the other, at the same time, and when the disk is measured anew."""
+    api = make_api(disk_bytes_per_key=2_000_000, database_url=database_url)
+    body = MORPH | {"overrides": COARSE}
+    with ThreadPoolExecutor(6) as pool:
+        answers = [*pool.map(lambda _: api.http.post("/v1/jobs", json=body), range(6))]
+    needed = api.context.job_sizes.of("")
+    let_in = sum(answer.status_code == 202 for answer in answers)
+    assert {answer.status_code for answer in answers} == {202, 413}
+    assert needed < 2_000_000 < needed * (let_in + 1) / let_in
+    api.context.quotas.invalidate("")
+    assert api.http.post("/v1/jobs", json=body).status_code == 413
+    job = api.http.get("/v1/jobs").json()["items"][0]["id"]
+    assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
+    assert api.http.post("/v1/jobs", json=body).status_code == 202
+
+
+def test_a_form_counts_once(make_api: Callable[..., Api], cube: bytes) -> None:
+    """A file of most of what is left is taken as a form, too."""
+    api = make_api(disk_bytes_per_key=1_000_000)
+    content = cube + b"#" * 700_000 + b"\n"
+    answer = api.http.post("/v1/meshes", files={"file": ("cube.obj", content)})
+    assert answer.status_code == 201, answer.text
+    assert api.context.quotas.arrived("", 0) == 0
+
+
+def test_files_of_a_refused_job_are_not_kept(api: Api, cube: bytes) -> None:
+    """Nor do they stay if they are new; one that was there before does."""
+    files = {"source": ("new.obj", cube + b"# new\n"), "target": ("cube.obj", cube)}
+    kept = api.http.post("/v1/meshes", params={"name": "cube.obj"}, content=cube).json()["id"]
+    for wrong in ({"preset": "nope"}, {"overrides": {"sampling.points_per_cell_edge": 99}}):
+        answer = api.http.post("/v1/jobs", data={"job": json.dumps(wrong)}, files=files)
+        assert answer.status_code == 422
+        assert [mesh["id"] for mesh in api.http.get("/v1/meshes").json()["items"]] == [kept]
+
+
+def test_a_job_deleted_while_it_is_measured_leaves_no_size(
+    either: Api, run: RunRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does one that begins again."""
+    storage, sizes = either.context.storage, either.context.job_sizes
+    deleted, begun = either.finished(run), either.finished(run)
+    job_bytes = storage.job_bytes
+
+    def overtaken(job: str) -> int:
+        size = job_bytes(job)
+        monkeypatch.setattr(storage, "job_bytes", job_bytes)
+        assert either.http.delete(f"/v1/jobs/{deleted}").status_code == 204
+        assert either.http.post(f"/v1/jobs/{begun}/retry").status_code == 202
+        return size
+
+    monkeypatch.setattr(storage, "job_bytes", overtaken)
+    sizes.measure_finished()
+    assert [*sizes.oldest(9)] == []
+
+
+def test_a_sweep_repeated_while_it_is_queued_is_to_wait(
+    make_api: Callable[..., Api], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is the same sweep, and needs no more room; later it is answered as there."""
+    api = make_api(queued_jobs_per_key=3)
+    body = {"sources": [MORPH["source"]], "targets": [MORPH["target"]], "seeds": [1, 2]}
+    key = {"Idempotency-Key": "one"}
+    repeated: list[httpx.Response] = []
+    enqueue = api.context.queue.enqueue
+
+    def slow(*arguments: Any, **named: Any) -> bool:
+        if not repeated:
+            repeated.append(httpx.Response(0))
+            repeated[:] = [api.http.post("/v1/sweeps", json=body, headers=key)]
+        return enqueue(*arguments, **named)
+
+    monkeypatch.setattr(api.context.queue, "enqueue", slow)
+    first = api.http.post("/v1/sweeps", json=body, headers=key)
+    assert first.status_code == 202
+    assert repeated[0].status_code == 503 and repeated[0].headers["Retry-After"] == "3"
+    again = api.http.post("/v1/sweeps", json=body, headers=key)
+    assert again.status_code == 200 and again.json()["id"] == first.json()["id"]
 
 
 def test_a_fork_that_nobody_has_room_for_is_refused(
