@@ -20,7 +20,7 @@ import trimesh
 
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
-from morph_engine.geometry.point_cloud import finite_points
+from morph_engine.geometry.point_cloud import Points, finite_points
 from morph_engine.geometry.topology import signed_volume, triangle_areas
 
 KERNEL_OVER_H = 2.5
@@ -148,6 +148,22 @@ def surface_euler(positions: npt.ArrayLike, spacing: float) -> int:
     return surface.euler
 
 
+def near_the_middle(points: Points, spacing: float) -> Points:
+    """The points that have not escaped: those near the median of all.
+
+    Args:
+        points: Finite positions [dx], shape [n, 3].
+        spacing: Lattice spacing h [dx]; a point within 10^4 of it along each axis is near.
+
+    Returns:
+        The near ones [dx], shape [k, 3], in the same order.
+    """
+    if not len(points):
+        return points
+    from_middle = np.abs(points - np.median(points, axis=0))
+    return points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
+
+
 def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:
     """How far a surface lies from that of the target [dx], and the other way round.
 
@@ -183,9 +199,7 @@ def _interpolated(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.integer]]:
     """Vertices and faces where the colour of the particles falls to `ISO_LEVEL`, in any order."""
     points, _ = finite_points(positions)
-    if len(points):
-        from_middle = np.abs(points - np.median(points, axis=0))
-        points = points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
+    points = near_the_middle(points, spacing)
     if not len(points):
         raise MeshError(
             "There are no particles to compute a surface from.", "Choose another frame."

@@ -13,11 +13,13 @@ divided by h (algorithm 9.1). `morph_engine.metrics.volume` has the floor-free n
 
 Particles with a non-finite coordinate are counted in ``escaped`` and nowhere else: they take part
 in no distance or share, and N is the number of the others. With no finite particle at all, every
-metric takes its worst value: distances are inf, shares 0 where higher is better, 1 where lower is.
+metric takes its worst value: inf where lower is better, but 1 if it is a share; 0 where higher is
+better, or 1 is best. Other counts are then 0.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -41,6 +43,16 @@ class MetricDefinition:
     ]
     better: Literal["lower", "higher", "one"]
     meaning: str
+
+    @property
+    def worst(self) -> float:
+        """Value of a measure of positions where no particle is left.
+
+        0 where higher is better or 1 is best, and for counts; else 1 for a share, inf for others.
+        """
+        if self.better != "lower" or self.unit == "count":
+            return 0.0
+        return 1.0 if self.unit == "share" else math.inf
 
 
 METRICS: dict[str, MetricDefinition] = {
@@ -237,7 +249,7 @@ METRICS |= {
         "matter spread thin on the way",
     ),
     "more_pieces": MetricDefinition(
-        "max_t #{pieces of A_t} beyond both ends",
+        "max_t #{pieces of A_t} - the larger number of both ends",
         "count",
         "lower",
         "crumbs on the way, down to a single particle",

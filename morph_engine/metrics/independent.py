@@ -7,7 +7,9 @@ destinations come from the target's lattice has no advantage.
 from __future__ import annotations
 
 import copy
+import math
 from functools import cached_property
+from itertools import product
 
 import igl
 import numpy as np
@@ -16,7 +18,12 @@ import scipy
 
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points, finite_points
-from morph_engine.geometry.surface_reconstruction import SAMPLES, Surface, deviations
+from morph_engine.geometry.surface_reconstruction import (
+    SAMPLES,
+    Surface,
+    deviations,
+    near_the_middle,
+)
 from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.body import body_surface
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
@@ -26,6 +33,13 @@ SUBCELLS = 8
 
 LEVEL_SAMPLES = 40_000
 """Random points whose distance to the body's surface is taken, unless more are asked for."""
+
+MOST_MESH_BOXES = 16
+"""Volume of a box around mesh and body, over that of the mesh's own box, beyond which points are
+drawn only near particles."""
+
+AROUND = np.array(list(product((-1, 0, 1), repeat=3)))
+"""Offsets from a cell to itself and its 26 neighbours."""
 
 
 class Reference:
@@ -86,17 +100,26 @@ class Reference:
         """What `mesh_metrics` returns, of particles of a spacing [dx]; always by the same draw."""
         rng = copy.deepcopy(self._rng)
         points, _ = finite_points(positions)
+        if not len(points):
+            return {
+                "dense_t2s": math.inf,
+                "dense_floor": math.inf,
+                "dense_s2t": math.inf,
+                "dense_s2t_floor": self.floor,
+                "covered": 0.0,
+                "mesh_iou": 0.0,
+                "mesh_iou_level": 0.0,
+                "density_p05": 0.0,
+                "density_p95": 0.0,
+            }
         tree = scipy.spatial.cKDTree(points)
         radius = COVERING_RADIUS_OVER_H * spacing
-        samples, wanted = self._with_those_beyond(points, radius, rng)
+        body = near_the_middle(points, spacing)
+        samples, wanted = self._with_those_beyond(body, radius, rng)
         distance, _ = tree.query(samples, distance_upper_bound=2 * radius)
         alone = wanted & np.isinf(distance)
         distance[alone], _ = tree.query(samples[alone])
         filled = distance < radius
-
-        some = rng.permutation(np.flatnonzero(wanted | (distance < 2 * radius)))
-        some = some[: self._level_samples]
-        level = _of_volume(points, spacing, samples[some], filled[some], int(wanted[some].sum()))
         density = np.quantile(self._density(tree), [0.05, 0.95])
         return {
             "dense_t2s": _rms(distance[wanted]),
@@ -105,20 +128,67 @@ class Reference:
             "dense_s2t_floor": self.floor,
             "covered": float(filled[wanted].mean()),
             "mesh_iou": _overlap(filled, wanted),
-            "mesh_iou_level": _overlap(level, wanted[some]),
+            "mesh_iou_level": self._level_overlap(body, spacing, samples, wanted, distance, rng),
             "density_p05": float(density[0]),
             "density_p95": float(density[1]),
         }
 
+    def _level_overlap(
+        self,
+        body: Points,
+        spacing: float,
+        samples: Points,
+        wanted: npt.NDArray[np.bool_],
+        distance: Points,
+        rng: np.random.Generator,
+    ) -> float:
+        """Overlap with the mesh after the body is shrunk or grown evenly to the mesh's volume.
+
+        Samples that reach no farther than the body are enough where it shrinks. Where it grows, it
+        may grow out of them, so they are drawn anew, each time twice as far beyond the body.
+
+        Args:
+            body: Particles [dx], shape [n, 3].
+            spacing: Lattice spacing h [dx].
+            samples: Points around mesh and body [dx], shape [k, 3].
+            wanted: Those that are inside the mesh, shape [k].
+            distance: To the nearest particle where that is within twice the radius [dx], shape [k].
+            rng: Of further samples.
+        """
+        surface = body_surface(body, spacing)
+        if not len(surface[1]):
+            return 0.0
+        tree = scipy.spatial.cKDTree(body)
+        radius = COVERING_RADIUS_OVER_H * spacing
+        beyond = 0.0  # how far the samples surround the body
+        while True:
+            near = distance < radius + max(beyond, radius)
+            some = rng.permutation(np.flatnonzero(wanted | near))[: self._level_samples]
+            depth = _depth(samples[some], distance[some] < radius, surface)
+            count = np.count_nonzero(wanted[some])
+            offset = np.partition(depth, count - 1)[count - 1]
+            if offset <= beyond:
+                return _overlap(depth <= offset, wanted[some])
+            beyond = max(2 * beyond, radius)
+            samples, wanted = self._with_those_beyond(body, radius + beyond, rng)
+            distance, _ = tree.query(samples, distance_upper_bound=radius + beyond)
+
     def _with_those_beyond(
-        self, points: Points, radius: float, rng: np.random.Generator
+        self, points: Points, reach: float, rng: np.random.Generator
     ) -> tuple[Points, npt.NDArray[np.bool_]]:
-        """Points drawn as densely wherever a particle reaches, and which are inside the mesh."""
+        """Points drawn as densely within a reach of particles, and which are inside the mesh."""
+        if not len(points):
+            return self._samples, self._wanted
         low, high = self._bounds
-        lower = np.minimum(low, points.min(axis=0) - radius)
-        upper = np.maximum(high, points.max(axis=0) + radius)
-        count = round(len(self._samples) * np.prod(upper - lower) / np.prod(high - low))
-        more = rng.uniform(lower, upper, (count, 3))
+        lower = np.minimum(low, points.min(axis=0) - reach)[None]
+        upper = np.maximum(high, points.max(axis=0) + reach)[None]
+        of_mesh = np.prod(high - low)
+        if np.prod(upper - lower) > MOST_MESH_BOXES * of_mesh:
+            lower = _cells_around(points, reach)
+            upper = lower + reach
+        count = round(len(self._samples) * np.prod(upper - lower, axis=1).sum() / of_mesh)
+        which = np.arange(count) % len(lower)
+        more = rng.uniform(lower[which], upper[which])
         more = more[((more < low) | (more > high)).any(axis=1)]
         return (
             np.concatenate([self._samples, more]),
@@ -161,7 +231,11 @@ def mesh_metrics(
         ``mesh_iou``: volume overlap of body and mesh; ``mesh_iou_level``: the same after the body
         is shrunk or grown evenly to the mesh's volume; ``density_p05`` and ``density_p95``:
         quantiles, over a lattice in the mesh, of the number of particles within dx over that of an
-        even fill.
+        even fill. With no finite particle distances are inf and the others 0. Particles far beyond
+        the others are not in the body.
+
+    Raises:
+        MeshError: The positions have the wrong shape.
     """
     return Reference(mesh, count=sample_count, seed=seed).measure(positions, spacing)
 
@@ -235,12 +309,22 @@ def _overlap(a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_]) -> float:
     return float(np.count_nonzero(a & b) / np.count_nonzero(a | b))
 
 
-def _of_volume(
-    points: Points, spacing: float, samples: Points, filled: npt.NDArray[np.bool_], count: int
-) -> npt.NDArray[np.bool_]:
-    """Samples in the body that is shrunk or grown evenly until it holds `count` of them."""
-    vertices, faces = body_surface(points, spacing)
+def _cells_around(points: Points, edge: float) -> Points:
+    """Low corners of all cells of an edge that hold something within that edge of a point."""
+    corner = points.min(axis=0)
+    own = np.unique(np.floor((points - corner) / edge).astype(np.int64), axis=0)
+    cells = np.unique((own[:, None] + AROUND).reshape(-1, 3), axis=0)
+    corners: Points = corner + cells * edge
+    return corners
+
+
+def _depth(
+    samples: Points,
+    filled: npt.NDArray[np.bool_],
+    surface: tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]],
+) -> Points:
+    """Distance of samples from a body's surface [dx], negative where they are inside."""
+    vertices, faces = surface
     squared, _, _ = igl.point_mesh_squared_distance(samples, vertices, faces.astype(np.int64))
-    depth = np.where(filled, -1, 1) * np.sqrt(squared)
-    within: npt.NDArray[np.bool_] = depth <= np.partition(depth, count - 1)[count - 1]
-    return within
+    depth: Points = np.where(filled, -1, 1) * np.sqrt(squared)
+    return depth

@@ -16,6 +16,7 @@ from morph_engine.geometry.point_cloud import Points, farthest_points
 from morph_engine.geometry.surface_reconstruction import surface_euler
 from morph_engine.metrics.body import count_pieces, measure_body
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
+from morph_engine.metrics.definitions import METRICS
 
 NEIGHBORS = 12
 NODE_CELL_OVER_H = 2.0
@@ -34,6 +35,12 @@ OFF_CENTRE = 0.04
 BODIES = 9
 """Frames of a path, evenly spaced, of which the body is measured."""
 
+OF_ALL_PATHS = (
+    "area_min", "area_max", "volume_min", "volume_max", "more_pieces", "more_euler", "d2_min",
+    "kept", "gap_p01", "gap_min", "geodesic", "detour", "action",
+)  # fmt: skip
+"""Metrics that need nothing but positions."""
+
 
 def path_metrics(
     frames: Sequence[npt.ArrayLike],
@@ -49,7 +56,8 @@ def path_metrics(
 
     Args:
         frames: Particle positions of each frame [dx], shape [n, 3] each, the source first.
-            Particles that are not finite in all of them take no part.
+            Particles that are not finite in all of them take no part. If no more than 12 are left,
+            too few for neighbours, every number has its worst value.
         spacing: Lattice spacing h [dx]; or of each frame, where particles end farther apart or
             closer, shape [frames].
         shares: Share of the change at each frame, 0 to 1, for methods that ease or rest, shape
@@ -64,6 +72,9 @@ def path_metrics(
         `METRICS` defines them.
     """
     finite = np.all([np.isfinite(frame).all(axis=1) for frame in frames], axis=0)
+    if np.count_nonzero(finite) <= NEIGHBORS:
+        given = () if settled is None else ("settled",)
+        return {name: METRICS[name].worst for name in (*OF_ALL_PATHS, *given)}
     places = [np.asarray(frame, np.float64)[finite] for frame in frames]
     chosen = np.unique(np.linspace(0, len(places) - 1, BODIES).round().astype(int))
     share = np.linspace(0, 1, len(places)) if shares is None else np.asarray(shares, np.float64)
@@ -78,7 +89,7 @@ def path_metrics(
         "area_max": float(area.max()),
         "volume_min": float(volume.min()),
         "volume_max": float(volume.max()),
-        "more_pieces": _beyond_ends(pieces),
+        "more_pieces": float(max(pieces) - max(pieces[0], pieces[-1])),
         "more_euler": _beyond_ends([surface_euler(places[i], h[i]) for i in chosen]),
         **neighbor_metrics(places[0], places[-1], h[0]),
         **{name: min(gap[name] for gap in gaps) for name in gaps[0]},

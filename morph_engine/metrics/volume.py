@@ -54,9 +54,9 @@ def fill_metrics(
         iou = #(A n B) / #(A u B)     cover = #(A n B) / #B     spill = #(A - B) / #A
         rho_j = (particles within dx of q_j / target points within dx of q_j) / (N / M)
 
-    A raster node sits one dx outside the least corner of the joint bounding box. A lattice finer
-    than dx/4 or coarser than dx takes the step h or h/4 instead, which keeps the balls free of
-    holes and the cost bounded.
+    A raster node sits dx, or 0.87 h if that is more, outside the least corner of the joint bounding
+    box. A lattice finer than dx/4 or coarser than dx takes the step h or h/4 instead, which keeps
+    the balls free of holes and the cost bounded.
 
     Args:
         positions: Particle positions [dx], shape [n, 3].

@@ -124,7 +124,7 @@ def field(
         if det_f is None:
             raise ResultError(
                 "This frame does not contain det F.",
-                "Choose another field; det F is stored by transport, joint and physics.",
+                "Choose another field; det F is stored by flow, transport, joint and physics.",
             )
         return np.asarray(det_f, np.float32)
     points, finite = finite_points(positions)

@@ -72,5 +72,5 @@ def test_refusals_name_cause_and_remedy():
     """An unknown field suggests one; det F that is not stored says who stores it."""
     with pytest.raises(ConfigError, match="'speed'"):
         values("sped")
-    with pytest.raises(ResultError, match="joint and physics"):
+    with pytest.raises(ResultError, match="by flow, transport, joint and physics"):
         values("det_f")

@@ -1,5 +1,7 @@
 """Measures of the path and of its end, on small cases whose answers are known."""
 
+import math
+
 import numpy as np
 import pytest
 import scipy
@@ -10,9 +12,10 @@ from morph_engine.errors import ResultError
 from morph_engine.geometry.mesh import make_mesh
 from morph_engine.geometry.shapes import resolve_shape
 from morph_engine.geometry.surface_reconstruction import Surface, surface_euler
-from morph_engine.metrics.body import measure_body
+from morph_engine.metrics import body
+from morph_engine.metrics.body import Body, body_surface, measure_body
 from morph_engine.metrics.definitions import METRICS
-from morph_engine.metrics.independent import mesh_metrics, surface_metrics
+from morph_engine.metrics.independent import Reference, mesh_metrics, surface_metrics
 from morph_engine.metrics.path import (
     gap_metrics,
     geodesic_distortion,
@@ -77,6 +80,26 @@ def test_lost_particles_take_no_part(ball):
     )
 
 
+def test_a_path_without_particles_has_the_worst_values():
+    """Infinite where lower is better, but 1 for a share; 0 elsewhere, and 0 for counts; no NaN."""
+    m = path_metrics([np.full((20, 3), np.nan)] * 3, H, settled=np.ones(20), det_f=np.ones(20))
+    assert m == {
+        **dict.fromkeys(("area_min", "area_max", "volume_min", "volume_max"), 0),
+        **dict.fromkeys(("more_pieces", "more_euler", "kept", "gap_p01", "gap_min"), 0),
+        **dict.fromkeys(("d2_min", "geodesic", "detour", "action"), math.inf),
+        "settled": 1,
+    }
+
+
+def test_only_crumbs_count_as_more_pieces(lattice_ball):
+    """Two balls that meet on the way are no more pieces than at the ends; one that parts is."""
+    small = lattice_ball(2.0, H).astype(np.float64)
+    one, two = (np.concatenate([small, small + np.array([x, 0, 0])]) for x in (3.0, 9.0))
+    assert path_metrics([two, one, two], H)["more_pieces"] == 0
+    assert path_metrics([one, two, one], H)["more_pieces"] == 1
+    assert path_metrics([one, two], H)["more_pieces"] == 0
+
+
 def test_an_affine_motion_is_no_shuffling(ball):
     """D2min takes the best affine motion away; neighbours along the stretch are lost."""
     m = neighbor_metrics(ball, ball @ np.diag([2.0, 0.5, 1.0]) @ TURN, H)
@@ -121,6 +144,41 @@ def test_body_of_balls():
     ring = np.stack([3 * np.cos(angle), 3 * np.sin(angle), 0 * angle], axis=1)
     assert (measure_body(ring, H).pieces, measure_body(ring, H).euler) == (1, 0)
     assert measure_body([*ring, [1e6, 0, 0], [np.nan, 0, 0]], H).pieces == 2
+
+
+def test_a_body_may_lie_anywhere(ball):
+    """Beyond the usual domain as in it: a domain may be of any size."""
+    there = measure_body(ball + 96.0, H)  # 576 steps of the raster
+    here = measure_body(ball, H)
+    # distances are float32 numbers in steps
+    assert (there.area, there.volume) == pytest.approx((here.area, here.volume), rel=1e-5)
+    assert (there.pieces, there.euler) == (here.pieces, here.euler)
+
+
+def test_strays_cost_no_memory(ball):
+    """A particle far off is one more ball; its raster would have 10^12 nodes with all between."""
+    stray = measure_body([*ball, [1000.0, 1000.0, 1000.0]], H)
+    whole = measure_body(ball, H)
+    assert (stray.pieces, stray.euler) == (whole.pieces + 1, whole.euler + 2)
+    # a ball of 2.6 steps, of which marching cubes cut off a tenth
+    assert stray.volume - whole.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.2)
+
+
+def test_a_surface_does_not_depend_on_the_blocks(ball, monkeypatch):
+    """Cut into small blocks, the raster gives the same vertices and as many faces."""
+    vertices, faces = body_surface(ball, H)
+    monkeypatch.setattr(body, "SMALL_BLOCK", 2000)
+    monkeypatch.setattr(body, "BLOCK", 2000)
+    in_blocks, faces_in_blocks = body_surface(ball, H)
+    np.testing.assert_array_equal(np.unique(in_blocks, axis=0), np.unique(vertices, axis=0))
+    assert len(in_blocks) == len(vertices)
+    assert len(faces_in_blocks) == len(faces)
+
+
+def test_nothing_has_no_body():
+    """Without a particle every measure is 0."""
+    assert measure_body(np.full((5, 3), np.nan), H) == Body(0.0, 0.0, 0, 0)
+    assert measure_body(np.empty((0, 3)), H) == Body(0.0, 0.0, 0, 0)
 
 
 def test_pieces_touch_within_two_radii():
@@ -226,6 +284,9 @@ def test_a_fill_that_misses_half_a_mesh(cube):
     m = mesh_metrics(half, cube, 0.2)
     assert m["covered"] == pytest.approx(0.52, abs=0.01)  # the balls reach .07 further
     assert m["mesh_iou"] < 0.52
+    # half the cube grown by t has the cube's volume, 32 + 64 t + 10 pi t^2 + 4/3 pi t^3 = 64, at
+    # t = .411, and 32 + 16 t of it in the cube; corners of a body of balls are rounded by .1
+    assert m["mesh_iou_level"] == pytest.approx(38.6 / (128 - 38.6), abs=0.02)
     assert m["density_p05"] == 0
     assert m["density_p95"] == pytest.approx(2, abs=0.1)
 
@@ -240,6 +301,46 @@ def test_a_fill_that_lies_beside_a_mesh(cube):
     assert beside["covered"] == beside["mesh_iou"] == beside["mesh_iou_level"] == 0
     half_off = mesh_metrics(fill + np.array([2.0, 0, 0]), cube, 0.2)
     assert half_off["mesh_iou_level"] == pytest.approx(1 / 3, abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """Points of a ball of radius 6."""
+    shape = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
+    return Reference(make_mesh(shape.vertices, shape.faces, name="ball"), count=20_000)
+
+
+def test_a_small_body_is_grown_as_far_as_it_takes(lattice_ball, reference):
+    """To the mesh's volume, however far that is beyond its balls and the mesh's box."""
+    small = lattice_ball(2.0, H)
+    # over 20 000 points a share has an error of .0035
+    assert reference.measure(small, H)["mesh_iou_level"] == pytest.approx(1, abs=0.03)
+    off = reference.measure(small + np.float32([3, 0, 0]), H)
+    # two balls of radius 6 whose centres are 3 apart have 1 - 3/8 + 1/128 in common
+    assert off["mesh_iou_level"] == pytest.approx(0.633 / (2 - 0.633), abs=0.02)
+
+
+def test_a_stray_particle_does_not_change_the_overlap(lattice_ball, reference):
+    """It is a ball in 2 000, and what lies between costs neither memory nor points."""
+    fill = lattice_ball(6.0, H).astype(np.float64)
+    for far in (100.0, 3000.0, 1e9):
+        stray = reference.measure([*fill, [far, far, far]], H)
+        for name, value in reference.measure(fill, H).items():
+            if name != "dense_s2t":
+                # other points are drawn around the body; a share has an error of .0035
+                assert stray[name] == pytest.approx(value, abs=0.01), name
+
+
+def test_a_fill_that_is_nowhere_near(reference, lattice_ball):
+    """A body outside the usual domain, or of no particle at all, overlaps with nothing."""
+    away = reference.measure(lattice_ball(6.0, H) + np.float32([40, 0, 0]), H)
+    assert away["covered"] == away["mesh_iou"] == away["mesh_iou_level"] == 0
+    assert 30 < away["dense_t2s"] < 40
+    lost = reference.measure(np.full((5, 3), np.nan), H)
+    assert lost.keys() == away.keys()
+    assert lost.pop("dense_s2t_floor") == reference.floor
+    for name, value in lost.items():
+        assert value == METRICS[name].worst, name
 
 
 def test_a_grown_surface_is_off_by_the_growth():
