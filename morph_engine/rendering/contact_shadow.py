@@ -5,7 +5,7 @@ What an eye below the ground sees, the darker the nearer it is to the ground, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -55,9 +55,11 @@ class Ground:
         """The ground that the lowest of some points, shape [n, 3] [dx], stands on."""
         array = np.asarray(points, np.float64)
         centre, radius = ball_around(array)
-        heights = array[:, "xyz".index(up)]
-        level = float(np.min(heights, where=np.isfinite(heights), initial=np.inf))
-        return cls(up, centre, max(radius, 1e-6), level if np.isfinite(level) else 0.0)
+        return cls(up, centre, max(radius, 1e-6), _lowest(array, up))
+
+    def touched_by(self, points: npt.ArrayLike) -> Ground:
+        """The same ground, moved up or down to the lowest of other points, shape [n, 3] [dx]."""
+        return replace(self, level=_lowest(np.asarray(points, np.float64), self.up))
 
     def under(self, points: npt.ArrayLike) -> Floats:
         """Where points would touch the ground, straight below them, shape [n, 3]."""
@@ -129,3 +131,10 @@ class Ground:
         """Rows: to the right, upwards and towards an eye below the ground."""
         right, down = np.eye(3)[0], -np.eye(3)["xyz".index(self.up)]
         return np.stack([right, np.cross(down, right), down])
+
+
+def _lowest(points: Floats, up: Up) -> float:
+    """How far down points reach along the upward axis [dx]; 0 if there are none."""
+    heights = points[:, "xyz".index(up)]
+    level = float(np.min(heights, where=np.isfinite(heights), initial=np.inf))
+    return level if np.isfinite(level) else 0.0

@@ -142,7 +142,8 @@ def look(*, azimuth: float = AZIMUTH, elevation: float = ELEVATION, up: Up = "y"
     """Rotation from the domain to an eye that looks along -z with y upwards.
 
     Args:
-        azimuth: Turn about the upward axis [degrees].
+        azimuth: Turn about the upward axis [degrees]: 0 is the front, where z is nearest, or -y if
+            z points upwards; 90 is the side where x is.
         elevation: Height of the eye above the horizon [degrees].
         up: The domain's upward axis.
 
@@ -153,9 +154,16 @@ def look(*, azimuth: float = AZIMUTH, elevation: float = ELEVATION, up: Up = "y"
     ce, se = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
     turn = np.array([[ca, 0, -sa], [0, 1, 0], [sa, 0, ca]])
     tilt = np.array([[1, 0, 0], [0, ce, -se], [0, se, ce]])
-    upright = np.eye(3)[[1, 2, 0]] if up == "z" else np.eye(3)
-    rotation: Floats = tilt @ turn @ upright
+    rotation: Floats = tilt @ turn @ _upright(up)
     return rotation
+
+
+def _upright(up: Up) -> Floats:
+    """Rotation that brings the domain's upward axis to y, shape [3, 3].
+
+    Where z points upwards the front is that of -y, as in the page and in Blender.
+    """
+    return np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]) if up == "z" else np.eye(3)
 
 
 def height_colors(source: npt.ArrayLike, view: Floats, *, palette: str = colormap.HEIGHT) -> Floats:
@@ -435,8 +443,9 @@ def _pictures(
     if playback:
         shown = np.concatenate([shown, run.source_points])
     ground = Ground.below(shown, up) if options.material else None
-    if ground:
-        shown = np.concatenate([shown, ground.under(shown)])
+    if ground:  # room for the shadow of a surface, which reaches farther down than its particles
+        lowest = replace(ground, level=ground.level - run.spacing_of(ends[-1]))
+        shown = np.concatenate([shown, lowest.under(shown)])
     eye = _first_eye(shown, options.camera, options.size, up)
     background = background_color(options.background)
     (name,) = selection.fields or (None,)
@@ -472,7 +481,7 @@ def _pictures(
             size=options.size,
             background=background,
             material=options.material,
-            ground=ground,
+            ground=ground and ground.touched_by(snapshot.vertices),
         )
 
 
@@ -564,6 +573,5 @@ def _painted(
 def _room(camera: Camera) -> Floats:
     """Rotation from the eye to a room whose y is the domain's upward axis."""
     up = camera.up or ("z" if _upward(camera.rotation)[2] else "y")
-    upright = np.eye(3)[[1, 2, 0]] if up == "z" else np.eye(3)
-    to_room: Floats = upright @ camera.rotation.T
+    to_room: Floats = _upright(up) @ camera.rotation.T
     return to_room

@@ -180,6 +180,26 @@ def test_nothing_floats_over_the_shapes(jobs, new_page, service, size):
             assert not under.any(), f"{np.count_nonzero(under)} pixels are under {box}"
 
 
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_names_and_numbers_are_not_covered_or_cut(jobs, page, service, count):
+    """Tools lie beside the names of all jobs, and a table that is wider than the drawer scrolls."""
+    long = [service.submit(name=f"a job with a long name {i}", frames=1) for i in range(2)]
+    page.goto(f"/compare?jobs={','.join([*jobs, *long][:count])}&details=metrics&{SAME}")
+    expect(page.locator(".compare-head h2")).to_have_count(count)
+    sheet = page.locator(".sheet:visible")
+    expect(sheet.get_by_role("table")).to_be_visible()
+    for width in (1400, 1000, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        tools = page.locator(".tools").bounding_box()
+        for head in page.locator(".compare-head").all():
+            box = head.bounding_box()
+            beside = box["x"] + box["width"] <= tools["x"]
+            assert beside or box["y"] >= tools["y"] + tools["height"]
+        assert sheet.evaluate("one => one.scrollWidth <= one.clientWidth")
+        table = page.locator(".differences")
+        assert table.evaluate("one => one.offsetWidth <= one.parentElement.clientWidth")
+
+
 def test_the_views_take_the_window(page, jobs):
     """Together at least 70 % of it, with nothing to scroll to."""
     page.goto(f"/compare?jobs={','.join(jobs)}")

@@ -452,6 +452,26 @@ def test_the_shadow_of_what_is_cut_is_a_part_of_the_whole_one(page, done):
     assert np.count_nonzero(around > 8) < 0.002 * shape.sum()
 
 
+@pytest.mark.parametrize("shape", ["points", "surface"])
+def test_a_frame_looks_the_same_whatever_was_seen_before(page, done, shape):
+    """Its size, and the ground below it: each end before and after the other one."""
+    for first, other in ((1, FRAMES), (FRAMES, 1)):
+        page.goto(f"/jobs/{done}?frame={first}&shape={shape}&quality=plain")
+        before = shown(page, first, shape)
+        page.keyboard.press("Shift+ArrowLeft" if other == 1 else "Shift+ArrowRight")
+        assert shown(page, other, shape) != before
+        page.keyboard.press("Shift+ArrowLeft" if first == 1 else "Shift+ArrowRight")
+        assert shown(page, first, shape) == before
+
+
+def shown(page: Page, number: int, shape: str) -> Image.Image:
+    """What the page shows of a frame, with its surface if that is wanted."""
+    expect_frame(page, number)
+    if shape == "surface":
+        expect(page.locator(".surface-words")).to_contain_text(f"Frame {number}: closed surface")
+    return picture(page)
+
+
 def test_looks_are_in_the_address(page, done):
     """Each material is another picture; a reload shows the same one."""
     page.goto(f"/jobs/{done}?quality=full")
@@ -883,6 +903,63 @@ def test_a_film_of_ones_own(opened, tmp_path):
     assert (body["seconds"], body["hold"], body["easing"]) == (5, 0.5, "linear")
     assert (body["picture"]["background"], body["picture"]["width"]) == ("white", 1080)
     assert body["picture"]["camera_keys"][1]["azimuth"] == pytest.approx(90, abs=1)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_places_of_the_eye_are_told_from_the_front(opened, up):
+    """Front, right and top are at 0 and 90 degrees around and at 90 high, whichever axis is up."""
+    opened.get_by_label("Up", exact=True).select_option(up)
+    details(opened, "Files")
+    opened.get_by_label("Format").select_option("png")
+    opened.get_by_label("Camera").select_option("keys")
+    for side, words in (
+        ("1", "0° around, 0° high"),
+        ("3", "90° around, 0° high"),
+        ("7", "90° high"),
+    ):
+        opened.locator(".scene").focus()
+        opened.keyboard.press(side)
+        opened.get_by_role("button", name="Add this position").click()
+        expect(opened.locator(".camera-keys li")).to_contain_text(words)
+
+
+def test_lines_say_which_frame_they_are_about(page, done):
+    """Of a job that opens at its first frame: numbers of the last one, the surface of the first."""
+    page.goto(f"/jobs/{done}?details=overview")
+    expect(page.get_by_role("heading", name=f"Frame {FRAMES}, the last")).to_be_visible()
+    words = page.locator(".surface-words")
+    expect(words).to_contain_text(re.compile("^Frame 1: closed surface, .* dx from the target"))
+    page.keyboard.press("Shift+ArrowRight")
+    expect(words).to_contain_text(re.compile(f"^Frame {FRAMES}: closed surface"))
+
+
+TORN = """() => [...document.querySelectorAll(".sheet th code")]
+  .flatMap((code) => [...code.childNodes].filter((one) => one.nodeType === Node.TEXT_NODE))
+  .filter((text) => {
+    const range = document.createRange();
+    range.selectNodeContents(text);
+    return range.getClientRects().length > 1;
+  })
+  .map((text) => text.textContent)"""
+"""Parts of names that go on in the next line."""
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (390, 844)], ids=["desk", "phone"])
+def test_names_of_settings_break_where_their_parts_end(done, new_page, size):
+    """Long values give way to them."""
+    page = new_page(viewport=dict(zip(("width", "height"), size, strict=True)))
+
+    def lengthen(route):
+        answer = route.fetch()
+        names = [{"name": "a landmark", "source": [0.123456789, 1.5, 2], "target": [3, 4, 5]}] * 3
+        route.fulfill(response=answer, json=answer.json() | {"landmarks": names})
+
+    page.route("**/config", lengthen)
+    page.goto(f"/jobs/{done}?details=settings")
+    page.get_by_text(re.compile(r"^All \d+ settings$")).click()
+    expect(page.locator(".sheet th code").last).to_have_text("landmarks")
+    assert page.evaluate(TORN) == []
+    assert page.evaluate(CUT) == []
 
 
 def test_the_numbers_are_a_table_too(opened):

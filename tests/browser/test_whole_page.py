@@ -77,6 +77,18 @@ def test_light_and_dark_are_chosen_and_kept(page):
     assert page.evaluate(background) == dark
 
 
+def test_no_line_lies_below_the_header(page):
+    """The view that has the focus when it opens has no ring, whatever key is pressed."""
+    page.goto("/")
+    page.get_by_role("link", name="Gallery").click()
+    expect(page.get_by_role("heading", name="Gallery")).to_be_visible()
+    page.keyboard.press("Shift")
+    main = page.locator("main")
+    expect(main).to_be_focused()
+    assert main.evaluate("one => one.matches(':focus-visible')")
+    assert main.evaluate("one => getComputedStyle(one).outlineStyle") == "none"
+
+
 def test_an_unknown_address_says_so(page):
     """Where nothing is, and a job that does not exist: a sentence, not an empty page."""
     assert page.goto("/nothing/here").status == 404

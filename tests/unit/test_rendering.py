@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+import tempfile
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +24,7 @@ from morph_engine.rendering.materials import MATERIALS, Material, bent, light
 from morph_engine.rendering.pictures import Camera, look, picture, thumbnail, video
 from morph_engine.rendering.rasterizer import Canvas
 from morph_engine.rendering.video_encoder import write_video
+from morph_engine.results.trajectory import Trajectory
 
 FRONT = Camera(np.eye(3), np.zeros(3), 5.0)
 SMALL = (120, 90)
@@ -196,7 +198,7 @@ def test_a_shadow_is_the_same_whichever_axis_is_up(lattice_ball):
             points, spacing=0.5, size=SMALL, background=None, material="clay",
             view=Camera(look(up=up), np.zeros(3), 8.0), ground=Ground.below(points, up),
         )
-        for points, up in ((y_up, "y"), (y_up[:, [2, 0, 1]], "z"))
+        for points, up in ((y_up, "y"), (y_up[:, [0, 2, 1]] * [1, -1, 1], "z"))
     ]  # fmt: skip
     apart = np.abs(pictures[0].astype(int) - pictures[1])
     assert apart.mean() < 0.2  # levels of 255; particles on edges fall to either side
@@ -217,7 +219,50 @@ def test_pictures_in_a_look_stand_on_a_ground(small_result, tmp_path):
         assert not grey[-1].any()
 
 
-LOOKS_JS = Path(__file__).resolve().parents[2] / "server/web/src/viewer/looks.js"
+def test_the_body_touches_the_ground_in_every_frame(lattice_ball, small_result):
+    """Films that end higher or lower than they begin: the shadow goes along, and none hovers."""
+    ball = lattice_ball(2.0, 0.25)
+    ground = Ground.below(ball, "z")
+    for height in (-3.0, 0.0, 3.0):
+        there = ball + np.array([0, 0, height])
+        assert ground.touched_by(there).level == there[:, 2].min()
+    with Trajectory(small_result) as result:
+        least = [result.positions(index)[:, 1].min() for index in range(result.frame_count)]
+    levels = []
+    drawn = Ground.shadow
+
+    def watched(ground, *arguments):
+        levels.append(ground.level)
+        return drawn(ground, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
+        patch.setattr(Ground, "shadow", watched)
+        video(small_result, Path(folder) / "film.zip", material="clay", size=SMALL)
+    assert levels == pytest.approx(least)
+    assert np.ptp(least) > 0
+
+
+VIEWER_JS = Path(__file__).resolve().parents[2] / "server/web/src/viewer"
+LOOKS_JS = VIEWER_JS / "looks.js"
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_the_page_looks_from_the_same_sides(up):
+    """Front, right and top are those of its keys 1, 3 and 7; at first both look from one corner."""
+    text = (VIEWER_JS / "viewer.js").read_text()
+    numbers = r"\[([-\d., ]+)\]"
+
+    def page(pattern):
+        found = re.search(pattern + r"\{[^}]*\b" + up + ": " + numbers, text)
+        return np.array([float(number) for number in found[1].split(",")])
+
+    for key, place in ((1, (0, 0)), (3, (90, 0)), (7, (0, 90))):
+        azimuth, elevation = place
+        toward = look(azimuth=azimuth, elevation=elevation, up=up)[2]
+        assert toward == pytest.approx(page(rf"SIDES = .*\b{key}: "), abs=1e-12)
+    first = page("FROM = ")
+    cosine = look(up=up)[2] @ first / np.linalg.norm(first)
+    assert np.degrees(np.arccos(cosine)) < 4  # 25 and 15 degrees here, 27 and 17 there
 
 
 def test_the_page_has_the_same_looks():

@@ -81,6 +81,7 @@ async function start() {
   const viewer = new Viewer(scene, { reducedMotion: matchMedia("(prefers-reduced-motion: reduce)").matches });
   viewer.setUp(about.up);
   viewer.setSpacing(about.spacing);
+  viewer.setEnds([film.positions(0), film.positions(film.count - 1)]);
   bindKeys(
     {
       ...cameraKeys((move) => viewer.steer(move)),

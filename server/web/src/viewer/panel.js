@@ -33,6 +33,7 @@ export class Panel {
   #asked = new AbortController();
   #shapeAsked = false;
   #sourceAsked = false;
+  #endsAsked = false;
   #begins = false; // whether what the job begins with is shown
   #rangeOf = "";
   #measured = Infinity; // frames that were known then
@@ -55,18 +56,20 @@ export class Panel {
    * @param {(names: object) => void} [options.onQuality] hears how finely is drawn, see viewer.js.
    * @param {() => void} [options.onOwn] hears that the shapes have colours of their own.
    * @param {() => void} [options.onArrival] hears that a frame has come.
+   * @param {() => void} [options.onEnds] hears that the camera knows what is to be in sight in every frame.
    * @param {() => Promise<object | null>} [options.sharedRange] the range of several jobs together.
    * @param {number} [options.share] of the memory for frames and surfaces, where several panels share it.
    */
   constructor(
     jobId,
-    { signal, display, onView, onQuality, onOwn = () => {}, onArrival = () => {}, sharedRange = null, share = 1 },
+    { signal, display, onView, onQuality, onOwn = () => {}, onArrival = () => {}, onEnds = () => {}, sharedRange = null, share = 1 },
   ) {
     this.jobId = jobId;
     this.signal = signal;
     this.display = { ...display };
     this.sharedRange = sharedRange;
     this.onOwn = onOwn;
+    this.onEnds = onEnds;
     this.metrics = () => null;
     this.total = 0;
     this.legs = 1;
@@ -125,7 +128,8 @@ export class Panel {
    * Show dots that go with the matter of landmarks.
    *
    * @param {object[]} landmarks see landmarks.js.
-   * @param {(positions: Float32Array, particles: number[]) => void} onMove hears where their particles are.
+   * @param {(positions: Float32Array, particles: number[], index: number) => void} onMove hears where their
+   *   particles are, and in which frame; -1 in the source.
    */
   setLandmarks(landmarks, onMove) {
     this.#landmarks = landmarks;
@@ -147,7 +151,7 @@ export class Panel {
         return { at: [...positions.slice(first, first + 3)], index: landmark.index };
       }),
     );
-    this.onMove(positions, this.#followed);
+    this.onMove(positions, this.#followed, index);
   }
 
   /** Forget all frames: the job began anew. */
@@ -177,6 +181,7 @@ export class Panel {
     this.#asked.abort();
     this.#asked = new AbortController();
     const viewer = await this.#ready;
+    if (viewer) this.#askForEnds(viewer);
     if (!(await this.#arrival(index, turn)) || turn !== this.#turn) return;
     this.index = index;
     viewer?.setFrame(index, this.frames.positions(index));
@@ -184,6 +189,22 @@ export class Panel {
     this.#showLandmarks();
     if (viewer && this.#targetShown !== this.#targetWanted()) this.#showTarget(viewer);
     if (viewer) await this.#paint(viewer, turn);
+  }
+
+  /** Have all shapes from the source to the target in sight in every frame, once they are here. */
+  async #askForEnds(viewer) {
+    if (this.#endsAsked) return;
+    this.#endsAsked = true;
+    const { signal, legs } = this;
+    const ask = (end, query) => points(`/jobs/${this.jobId}/${end}`, { query, signal });
+    const targets = Array.from({ length: legs }, (_, leg) => ask("target", legs > 1 ? { leg } : {}));
+    try {
+      const found = await Promise.all([ask("source", {}), ...targets]);
+      viewer.setEnds(found.map(({ positions }) => positions));
+      this.onEnds();
+    } catch (error) {
+      if (!signal.aborted && error.name !== "Problem") throw error; // the frames will do
+    }
   }
 
   /** Wait for a frame, and say why it takes a while. */
@@ -596,13 +617,13 @@ export class Panel {
   }
 
   #tellOf(mesh) {
-    this.surfaceWords.textContent = mesh ? about(mesh) : "";
+    this.surfaceWords.textContent = mesh ? about(mesh, this.index) : "";
   }
 }
 
-function about({ headers }) {
+function about({ headers }, index) {
   if (!headers.has("Morph-Deviation-Mean")) return "";
   const mean = Number(headers.get("Morph-Deviation-Mean"));
-  const closed = headers.get("Morph-Watertight") === "true" ? "Closed surface" : "Surface with holes";
-  return `${closed}, ${number(mean, 2)} dx from the target on average.`;
+  const closed = headers.get("Morph-Watertight") === "true" ? "closed surface" : "surface with holes";
+  return `Frame ${index + 1}: ${closed}, ${number(mean, 2)} dx from the target on average.`;
 }

@@ -110,7 +110,7 @@ export class Particles extends Points {
 
   /** @returns {Float32Array} x y z of each particle [grid units]. */
   get positions() {
-    return this.geometry.attributes.position.array;
+    return this.geometry.attributes.position?.array ?? new Float32Array(0);
   }
 
   /** @param {Float32Array} positions x y z of each particle [grid units]; copied. */

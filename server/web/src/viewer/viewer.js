@@ -44,6 +44,7 @@ const ZOOM = 1.1;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const FROM = { y: [0.5, 0.35, 1], z: [0.5, -1, 0.35] };
 const MARGIN = 1.1; // around everything in sight, for the controls
+const SLACK = 1.05; // a frame may reach so far beyond what is in sight, since there is a margin
 const RADIUS = 0.62; // of the spacing: neighbours touch and holes still show
 const GHOST_RADIUS = 0.22;
 const SKETCHED = 10_000; // particles of a sketch
@@ -64,6 +65,7 @@ const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
  */
 export class Viewer {
   #frameOf = null; // bounding sphere the camera was last fitted to
+  #ends = null; // bounding sphere of the shapes that the matter comes from and goes to
   #queued = false;
   #observer;
   #up = "y";
@@ -74,7 +76,6 @@ export class Viewer {
   #behind = null;
   #lens = 0; // in radii of what is shown
   #depth = null;
-  #ground = Infinity; // its level along the upward axis
   #cast = 0; // share of the particles that cast the shadow there is; 0 where it is of something else
   #told = "";
   #spaced = false;
@@ -143,8 +144,18 @@ export class Viewer {
     if (others && !this.#spaced) this.#space(spacing(positions));
     this.particles.setPositions(positions);
     this.transform(new Matrix4());
-    if (!this.#touched && (others || !this.#contains(positions))) this.reset();
+    if (!this.#touched && (others || !this.#framed)) this.reset();
     this.draw();
+  }
+
+  /**
+   * Have all of these in sight in every frame, so that none is drawn in another size than the others.
+   *
+   * @param {Float32Array[]} clouds the shapes that the matter comes from and goes to.
+   */
+  setEnds(clouds) {
+    this.#ends = ball(clouds);
+    if (!this.#touched) this.reset();
   }
 
   /** Show no particles and no surface until the next frame. */
@@ -361,11 +372,11 @@ export class Viewer {
    */
   get eye() {
     const arm = this.camera.position.clone().sub(this.controls.target).normalize();
-    const [upward, front, aside] = this.#up === "z" ? [arm.z, arm.x, arm.y] : [arm.y, arm.z, arm.x];
+    const [upward, front] = this.#up === "z" ? [arm.z, -arm.y] : [arm.y, arm.z];
     const degrees = 180 / Math.PI;
     const whole = this.#farAway(this.#frameOf?.radius ?? this.distance);
     return {
-      azimuth: Math.atan2(aside, front) * degrees,
+      azimuth: Math.atan2(arm.x, front) * degrees,
       elevation: Math.asin(Math.min(Math.max(upward, -1), 1)) * degrees,
       zoom: Math.min(Math.max(whole / this.distance, 0.1), 100),
     };
@@ -400,16 +411,13 @@ export class Viewer {
     return this.camera.position.distanceTo(this.controls.target);
   }
 
-  /** Look at everything from the usual side. */
+  /** Look at everything from the usual side: at all of the ends, and at a frame that reaches beyond them. */
   reset() {
-    const clouds = [this.particles, this.ghost].filter(({ count }) => count);
-    const box = new Box3();
-    for (const { positions } of clouds) box.union(new Box3().setFromArray(positions));
-    if (box.isEmpty()) return;
-    const center = box.getCenter(new Vector3());
-    const radius = Math.max(...clouds.map(({ positions }) => reach(positions, center)), 0.1);
+    const { positions, count } = this.particles;
+    if (!this.#ends && !count) return;
+    const { center, radius: least } = this.#ends ?? ball([positions]);
+    const radius = Math.max(least, reach(positions, center) / SLACK);
     this.#fit(new Sphere(center, radius));
-    this.#ground = box.min[this.#up];
     this.#touched = false;
     this.controls.target.copy(center);
     this.camera.position
@@ -591,9 +599,16 @@ export class Viewer {
     this.shadow.visible = this.particles.visible || this.surface.visible;
     if (!this.shadow.visible || !this.#frameOf || !this.particles.count) return;
     this.#cast = share;
-    this.#ground = Math.min(this.#ground, lowest(this.particles.positions, this.#up));
-    this.shadow.place(this.#up, this.#frameOf.center, radius, this.#ground);
+    this.shadow.place(this.#up, this.#frameOf.center, radius, this.#lowest);
     this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share));
+  }
+
+  /** @returns {number} how far down what is shown reaches along the upward axis [grid units]. */
+  get #lowest() {
+    const { particles, surface } = this;
+    if (surface.visible) return lowest(surface.mesh.geometry.attributes.position.array, surface.matrixWorld, this.#up);
+    particles.updateWorldMatrix(true, false);
+    return lowest(particles.positions, particles.matrixWorld, this.#up);
   }
 
   /** Something else is shown, or elsewhere. */
@@ -717,9 +732,12 @@ export class Viewer {
     this.#onView(this.view);
   }
 
-  #contains(positions) {
+  /** Whether a reset would change nothing; as long as no ends are known, whether all particles are in sight. */
+  get #framed() {
     const seen = this.#frameOf;
-    return seen !== null && reach(positions, seen.center) <= 1.05 * seen.radius;
+    if (!seen) return false;
+    const needed = reach(this.particles.positions, seen.center) / SLACK;
+    return this.#ends ? seen.radius === Math.max(this.#ends.radius, needed) : seen.radius >= needed;
   }
 
   /** Move the camera at once, and tell nobody. */
@@ -797,9 +815,22 @@ function reach(positions, { x, y, z }) {
   return Math.sqrt(farthest);
 }
 
-/** How far down particles reach along the upward axis [grid units]. */
-function lowest(positions, up) {
+/** A ball around the box around clouds of particles. */
+function ball(clouds) {
+  const box = new Box3();
+  for (const positions of clouds) box.union(new Box3().setFromArray(positions));
+  const center = box.getCenter(new Vector3());
+  return new Sphere(center, Math.max(...clouds.map((positions) => reach(positions, center)), 0.1));
+}
+
+/** How far down points reach along the upward axis where a map leads them [grid units]. */
+function lowest(positions, { elements }, up) {
+  const axis = "xyz".indexOf(up);
+  const [a, b, c, d] = [0, 4, 8, 12].map((column) => elements[column + axis]);
   let least = Infinity;
-  for (let i = up === "z" ? 2 : 1; i < positions.length; i += 3) if (positions[i] < least) least = positions[i];
+  for (let i = 0; i < positions.length; i += 3) {
+    const height = a * positions[i] + b * positions[i + 1] + c * positions[i + 2] + d;
+    if (height < least) least = height;
+  }
   return least;
 }

@@ -55,8 +55,10 @@ export async function show(root, { jobs: wanted = "" }, signal) {
       sharedRange: () => links.range(),
       share: 1 / ids.length,
       onArrival: () => settle(),
+      onEnds: () => links.refit(),
     });
     panel.metrics = (index) => rows[i][index] ?? null;
+    panel.plan(jobs[i]);
     panel.grows = lives(jobs[i].state);
     panel.frames.grow(jobs[i].progress.frame);
     panel.open();

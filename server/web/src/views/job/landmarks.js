@@ -4,7 +4,7 @@ import { number } from "../../format.js";
 import { distance } from "../../viewer/landmarks.js";
 import { markColour } from "../../viewer/mark_colours.js";
 
-/** @returns {{element: HTMLElement, show: (positions: Float32Array, particles: number[]) => void}} */
+/** @returns {{element: HTMLElement, show: (positions: Float32Array, particles: number[], index: number) => void}} */
 export function landmarks(all) {
   const ways = all.map(() => h("span", { class: "quiet" }));
   const rows = all.map(({ name, index }, i) => {
@@ -19,10 +19,10 @@ export function landmarks(all) {
     h("p", { class: "quiet small" }, "Dots in the view follow the matter that starts at each."),
     h("ol", { class: "plain stack" }, rows),
   );
-  const show = (positions, particles) =>
+  const show = (positions, particles, index) =>
     all.forEach(({ target }, i) => {
       const away = distance(positions, particles[i], target);
-      fill(ways[i], `${number(away, 2)} dx from its target point`);
+      fill(ways[i], `${number(away, 2)} dx from its target point ${index < 0 ? "at first" : `in frame ${index + 1}`}`);
     });
   return { element, show };
 }

@@ -73,7 +73,7 @@ export class Summary {
       ),
     ]);
     this.#part("standing", [state, progress, job.queue_position], () => standing(job));
-    this.#part("figures", [job.outcome, progress.metrics], () => figures(job));
+    this.#part("figures", [job.outcome, progress], () => figures(job));
     this.#part("trouble", [job.problem], () => job.problem && problemOf(job));
   }
 
@@ -160,6 +160,7 @@ function figures({ outcome, progress }) {
   const known = METRICS.filter(([name]) => name in metrics);
   if (!known.length) return null;
   return [
+    h("h3", null, `Frame ${progress.frame}, the ${outcome ? "last" : "newest"}`),
     "spill" in metrics && h("p", null, filling(metrics)),
     h(
       "dl",
