@@ -42,7 +42,7 @@ SLICE_THICKNESS = 0.5
 
 PALETTE = "viridis"
 TARGET_GREY = 0.72
-UPRIGHT = look(azimuth=20.0, elevation=15.0, up="z")
+UPRIGHT = look(azimuth=110.0, elevation=15.0, up="z")
 """The paper's meshes stand on their feet with z upwards."""
 
 DRAGON = "dragon.obj"
