@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morph_engine.errors import ConfigError, ResultError
-from morph_engine.files import shortened
+from morph_engine.files import morph_stem
 
 if TYPE_CHECKING:
     from morph_engine.rendering.camera_path import CameraKey
@@ -155,9 +155,4 @@ def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
 
 def default_output(*shapes: str, partial: bool = False) -> Path:
     """The result file of a run that names none: sphere-to-bunny.vtkhdf, where one stands."""
-    ending = "-partial" if partial else ""
-    return Path(f"{shortened('-to-'.join(map(_file_stem, shapes)))}{ending}.vtkhdf")
-
-
-def _file_stem(shape: str) -> str:
-    return re.sub(r"\W+", "-", Path(shape).stem).strip("-") or "shape"
+    return Path(f"{morph_stem(shapes, partial=partial)}.vtkhdf")

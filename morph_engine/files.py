@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 import time
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -29,9 +30,11 @@ LONGEST_STEM = 150
 """Of a file name that a program makes up [bytes]: file systems take 255, with all endings."""
 
 
-def shortened(stem: str) -> str:
-    """A file name without its ending, cut to `LONGEST_STEM`."""
-    return stem.encode()[:LONGEST_STEM].decode(errors="ignore").rstrip("-")
+def morph_stem(shapes: Iterable[str], *, partial: bool) -> str:
+    """What to call files of a morph of these shapes: sphere-to-bunny, at most `LONGEST_STEM`."""
+    plain = (re.sub(r"\W+", "-", Path(shape).stem).strip("-") or "shape" for shape in shapes)
+    stem = "-to-".join(plain).encode()[:LONGEST_STEM].decode(errors="ignore").rstrip("-")
+    return f"{stem}-partial" if partial else stem
 
 
 @contextmanager

@@ -263,12 +263,18 @@ class Quotas:
         self.check_disk(owner)
         while not self._promise(owner, needed_bytes):
             pass
+        queued = False
         try:
             yield
+            queued = True
         finally:
             with self._lock:
                 self._promised[owner] -= needed_bytes
+                measured = self._disk.get(owner)
                 self._forget_measured(owner)
+                if queued and measured:  # spares measuring anew for each job that is let in
+                    at, used = measured
+                    self._disk[owner] = at, used + needed_bytes
 
     def _promise(self, owner: str, needed_bytes: int) -> bool:
         """Count jobs that are let in; False if something has changed as the disk was measured."""

@@ -81,7 +81,6 @@ def winding_cells(
     span = most - least
     edge = float(np.cbrt(np.prod(span) * POINTS_PER_CELL / len(points)))
     edge = max(edge, float(span.max()) / MOST_ALONG) or 1.0  # of points in one place
-    size_of_mesh = float(np.ptp(vertices, axis=0).max())
     found = _Found(least, open_edges)
     cell, crossed = np.full(len(points), -1), np.zeros(len(points), np.int8)
     rest, place = np.arange(len(points)), (points - least) / edge
@@ -106,7 +105,7 @@ def winding_cells(
         centres = _unflat(cut[order], size) + 0.5
         cones = Cones.behind(corners[faces[triangle[order]]] - centres[:, None])
         ends = place - np.floor(place) - 0.5
-        clearance = max(CLEARANCE, ROUNDING * size_of_mesh / edge)
+        clearance = max(CLEARANCE, ROUNDING * float(np.ptp(corners, axis=0).max()))
         change, doubtful = count_crossings(ends, first[key], first[key + 1], cones, clearance)
         sure = rest[~doubtful]
         crossed[sure] = change[~doubtful]
@@ -146,8 +145,7 @@ class _Found:
 
 def _flat(cells: npt.NDArray[np.int64], size: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Indices of cells, shape [n], from their places, shape [n, 3]."""
-    x, y, z = cells.T
-    flat: npt.NDArray[np.int64] = (x * size[1] + y) * size[2] + z
+    flat: npt.NDArray[np.int64] = np.ravel_multi_index(tuple(cells.T), tuple(size))
     return flat
 
 

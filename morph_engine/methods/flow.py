@@ -153,7 +153,7 @@ class FlowOptions(MpmOptions):
         return smoothstep(frame / ((1 - self.rest) * frames))
 
     def check_grid(self, grid: GridConfig) -> None:
-        """Its waves are as slow as its time steps ask, of which there are some in a frame."""
+        """Refuse drag beyond the longest time step; waves are as slow as any step asks."""
         self.check_drag(self.time.dt * self.time.transitions_per_frame / self.steps_per_frame)
 
     def check_legs(self, count: int) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from functools import lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 from chamfer_morph.schemas import Job, JobState, Progress
@@ -12,7 +10,7 @@ from chamfer_morph.server.context import ServerContext
 from chamfer_morph.worker.job_listing import RECORD_CACHE_SIZE
 from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.progress import JobProgress, read_progress
-from morph_engine.files import shortened
+from morph_engine.files import morph_stem
 
 
 def file_stem(record: JobRecord) -> str:
@@ -22,10 +20,7 @@ def file_stem(record: JobRecord) -> str:
         *record.via_names,
         str(record.attributes.get("target_name", "target")),
     ]
-    plain = [re.sub(r"\W+", "-", Path(name).stem).strip("-") for name in names]
-    stem = shortened("-to-".join(name or "shape" for name in plain))
-    partial = "" if record.state is JobState.SUCCEEDED else "-partial"
-    return f"{stem}{partial}"
+    return morph_stem(names, partial=record.state is not JobState.SUCCEEDED)
 
 
 class _JobSnapshot(NamedTuple):

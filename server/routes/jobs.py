@@ -43,6 +43,8 @@ from chamfer_morph.server.submission import (
     request_digest,
     submit,
 )
+from chamfer_morph.worker.job_listing import DISK_BYTES
+from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
 from morph_engine.errors import MorphError
@@ -241,7 +243,7 @@ def resume_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
     check_allowed(job, "resume")
     with context.mesh_locks.holding(job.spec.meshes):
         check_meshes(job.spec, context)
-        with context.quotas.letting_in_jobs(job.owner):
+        with context.quotas.letting_in_jobs(job.owner, needed_bytes=_left_to_fill(job, context)):
             context.queue.resume(job.id)
     context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
@@ -288,11 +290,16 @@ def retry_job(caller: Submitter, job: VisibleJob, context: Context) -> Job:
         )
     with context.mesh_locks.holding(job.spec.meshes):
         check_meshes(job.spec, context)
-        with context.quotas.letting_in_jobs(job.owner):
+        with context.quotas.letting_in_jobs(job.owner, needed_bytes=_left_to_fill(job, context)):
             context.cancel_computations(job.id)
             context.queue.retry(job.id)
     context.quotas.job_gone(job.id, job.owner)
     return to_job(find_job(job.id, caller, context), context)
+
+
+def _left_to_fill(job: JobRecord, context: ServerContext) -> int:
+    """Disk that a finished job is expected to fill in addition, once it goes on [bytes]."""
+    return max(int(job.attributes.get(DISK_BYTES, 0)) - context.storage.job_bytes(job.id), 0)
 
 
 def accept(response: Response, path: str, *, new: bool) -> None:

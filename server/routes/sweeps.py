@@ -19,7 +19,7 @@ from chamfer_morph.server.database.callers import Caller
 from chamfer_morph.server.database.tables import SweepRow as StoredSweep
 from chamfer_morph.server.database.tables import as_time
 from chamfer_morph.server.http.csv_table import csv_table
-from chamfer_morph.server.http.problems import ProblemError, not_found
+from chamfer_morph.server.http.problems import ProblemError, not_found, unavailable
 from chamfer_morph.server.routes.jobs import IdempotencyKey, accept
 from chamfer_morph.server.submission import (
     idempotency_conflict,
@@ -142,7 +142,10 @@ def _submit(
         try:
             queued = stack.enter_context(letting_in)
         except ProblemError as refusal:
-            raise (refusal if alone else _being_submitted()) from None
+            if alone:
+                raise
+            words = "The jobs of this sweep are being queued by an earlier request."
+            raise unavailable(words) from refusal
         stored, new = context.sweeps.add(sweep_id, caller.name, request.name, digest)
         if stored.body != digest:
             raise idempotency_conflict()
@@ -150,16 +153,6 @@ def _submit(
             submit(submission, job_id=job_id, caller=caller, context=context, sweep=sweep_id)
             queued()
     return _show(stored, context), new
-
-
-def _being_submitted() -> ProblemError:
-    """The same request has come before, and takes up the room that this one asks for."""
-    return ProblemError(
-        503,
-        "The jobs of this sweep are being queued by an earlier request.",
-        "Repeat it in a few seconds.",
-        headers={"Retry-After": "3"},
-    )
 
 
 def _show(stored: StoredSweep, context: ServerContext) -> Sweep:

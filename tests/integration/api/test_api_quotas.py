@@ -330,6 +330,8 @@ def test_jobs_that_wait_count_with_what_they_will_fill(
     job = api.http.get("/v1/jobs").json()["items"][0]["id"]
     assert api.http.post(f"/v1/jobs/{job}/cancel").status_code == 202
     assert api.http.post("/v1/jobs", json=body).status_code == 202
+    for action in ("resume", "retry"):
+        assert api.http.post(f"/v1/jobs/{job}/{action}").status_code == 413
 
 
 def test_a_form_counts_once(make_api: Callable[..., Api], cube: bytes) -> None:
@@ -390,7 +392,7 @@ def test_a_sweep_repeated_while_it_is_queued_is_to_wait(
     monkeypatch.setattr(api.context.queue, "enqueue", slow)
     first = api.http.post("/v1/sweeps", json=body, headers=key)
     assert first.status_code == 202
-    assert repeated[0].status_code == 503 and repeated[0].headers["Retry-After"] == "3"
+    assert repeated[0].status_code == 503 and repeated[0].headers["Retry-After"] == "5"
     again = api.http.post("/v1/sweeps", json=body, headers=key)
     assert again.status_code == 200 and again.json()["id"] == first.json()["id"]
 
