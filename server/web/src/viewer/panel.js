@@ -33,6 +33,7 @@ export class Panel {
   #asked = new AbortController();
   #shapeAsked = false;
   #sourceAsked = false;
+  #ends = null; // positions of the source and of each target, until they are in the viewer
   #endsAsked = false;
   #begins = false; // whether what the job begins with is shown
   #rangeOf = "";
@@ -184,6 +185,7 @@ export class Panel {
     if (viewer) this.#askForEnds(viewer);
     if (!(await this.#arrival(index, turn)) || turn !== this.#turn) return;
     this.index = index;
+    if (viewer) this.#showEnds(viewer);
     viewer?.setFrame(index, this.frames.positions(index));
     this.describe();
     this.#showLandmarks();
@@ -200,11 +202,19 @@ export class Panel {
     const targets = Array.from({ length: legs }, (_, leg) => ask("target", legs > 1 ? { leg } : {}));
     try {
       const found = await Promise.all([ask("source", {}), ...targets]);
-      viewer.setEnds(found.map(({ positions }) => positions));
-      this.onEnds();
+      this.#ends = found.map(({ positions }) => positions);
     } catch (error) {
       if (!signal.aborted && error.name !== "Problem") throw error; // the frames will do
     }
+    if (this.index >= 0) this.#showEnds(viewer);
+  }
+
+  /** Turn to all shapes, if they are here: with a frame, as what is seen before it stays where it is. */
+  #showEnds(viewer) {
+    if (!this.#ends) return;
+    viewer.setEnds(this.#ends);
+    this.#ends = null;
+    this.onEnds();
   }
 
   /** Wait for a frame, and say why it takes a while. */
