@@ -49,6 +49,42 @@ def test_a_job_moves_through_the_list_by_itself(service, page):
     expect(found.locator(".quality")).to_have_text(re.compile(r"^\d+ % filled$"))
 
 
+LOOKED_TWICE = 5000
+"""In this time [ms] the list asks how its jobs are at least twice."""
+
+
+@pytest.mark.usefixtures("queue_goes_on")
+def test_a_press_is_a_click_whatever_happens_to_the_job(service, page):
+    """What lies under the pointer stays there until it is let go."""
+    service.pause_queue()
+    job = service.submit(name="to be pressed")
+    page.goto("/")
+    row(page, "to be pressed").get_by_role("link", name="Change").hover()
+    page.mouse.down()
+    service.call("POST", f"/v1/jobs/{job}/cancel")
+    service.unpause_queue()
+    page.wait_for_timeout(LOOKED_TWICE)
+    page.mouse.up()
+    page.wait_for_url(f"**/new?like={job}")
+
+
+@pytest.mark.usefixtures("queue_goes_on")
+def test_the_list_goes_on_after_a_press(service, page):
+    """Also where the press was no click."""
+    service.pause_queue()
+    job = service.submit(name="pressed beside")
+    page.goto("/")
+    found = row(page, "pressed beside")
+    expect(found).to_contain_text("Paused")
+    page.get_by_role("heading", name="Jobs").hover()
+    page.mouse.down()
+    service.call("POST", f"/v1/jobs/{job}/cancel")
+    page.wait_for_timeout(LOOKED_TWICE)
+    expect(found).to_contain_text("Paused")
+    page.mouse.up()
+    expect(found).to_contain_text("Cancelled")
+
+
 def test_cancel_resume_retry_and_delete(service, page):
     """What a person may do with a job follows from its state, and does what it says."""
     job = service.submit(name="to be handled", frames=MANY)

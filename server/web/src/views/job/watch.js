@@ -1,6 +1,7 @@
 /** A job as it goes on: its state, its metrics and its events, from the stream and by asking. */
 import { events, get, pause } from "../../api.js";
 import { lives } from "../../format.js";
+import { released } from "../../press.js";
 
 const ASK_MILLISECONDS = 2500;
 const GONE = [401, 404]; // the key or the share link was revoked; the job was deleted
@@ -35,6 +36,7 @@ export class Watch {
   async ask() {
     const turn = ++this.#asked;
     const job = await get(`/jobs/${this.jobId}`, { signal: this.signal });
+    await released();
     if (turn < this.#answered) return this.job; // a later answer was quicker
     this.#answered = turn;
     if (this.job && lives(this.job.state) && lives(job.state)) this.#advance(job);

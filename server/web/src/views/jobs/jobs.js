@@ -7,6 +7,7 @@ import { jobName, lives, state as stateWord } from "../../format.js";
 import { freshKey } from "../../idempotency.js";
 import { poll } from "../../polling.js";
 import { go, replaceQuery, setTitle } from "../../navigation.js";
+import { released } from "../../press.js";
 import { problemNotice } from "../../problem_notice.js";
 import { Filters } from "./filters.js";
 import { Queue } from "./queue.js";
@@ -81,6 +82,7 @@ class JobList {
       signal: this.signal,
     });
     await Promise.all([this.addPositions(page.items), this.queue.refresh()]);
+    await released();
     if (asked === this.asked) {
       this.draw(page);
       fill(this.trouble);

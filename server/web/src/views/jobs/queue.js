@@ -4,6 +4,7 @@ import { announce } from "../../announce.js";
 import { get, post } from "../../api.js";
 import { h, redraw } from "../../dom.js";
 import { plural } from "../../format.js";
+import { released } from "../../press.js";
 import { problemNotice } from "../../problem_notice.js";
 
 /** What is said of the queue above the list; `changed` hears that jobs begin or wait. */
@@ -18,7 +19,9 @@ export class Queue {
   }
 
   async refresh() {
-    this.draw(await get("/queue", { signal: this.signal }));
+    const status = await get("/queue", { signal: this.signal });
+    await released();
+    this.draw(status);
   }
 
   draw(status) {
