@@ -176,7 +176,7 @@ def test_a_remembered_target_comes_with_the_first_frame(service, page):
 
 @pytest.mark.usefixtures("queue_goes_on")
 def test_the_source_is_in_sight_before_the_first_frame(service, page):
-    """While the job waits, while its method gets ready and while the frame is on its way; the page says so, too."""
+    """While the job waits, while its method gets ready, and while that frame is on its way."""
     service.pause_queue()
     job = service.submit(name="large", frames=1, method="flow", overrides={})
     page.route(re.compile(f"/jobs/{job}/frames/"), lambda _: None)  # its frame is on its way
@@ -189,7 +189,7 @@ def test_the_source_is_in_sight_before_the_first_frame(service, page):
         service.unpause_queue()
     expect(page.locator(".scene canvas")).to_have_attribute("aria-label", BEGINNING)
     assert ImageStat.Stat(ImageChops.difference(picture(page), waiting)).mean[0] < 1
-    service.wait_for(job, "succeeded", seconds=COMPILING)  # all is known now but the frame's particles
+    service.wait_for(job, "succeeded", seconds=COMPILING)  # only the frame is missing
     expect(page.locator(".summary")).to_contain_text("Succeeded")
     assert ImageStat.Stat(ImageChops.difference(picture(page), waiting)).mean[0] < 1
 
