@@ -135,8 +135,9 @@ export async function show(root, { id }, signal) {
     onConnection: (there) => summary.connection(there),
   });
 
+  const asked = get(`/jobs/${id}/config`, { signal });
+  asked.catch(() => {}); // told of below
   const job = await watch.ask();
-  panel.open();
   const name = () => jobFileName(watch.job);
   const aside = h("div", { class: "stack" });
   const sheets = [
@@ -156,9 +157,10 @@ export async function show(root, { id }, signal) {
   );
   watch.run().catch(gone);
   try {
-    config = await get(`/jobs/${id}/config`, { signal });
-    panel.setConfig(config);
+    config = await asked;
     showShape(watch.job);
+    panel.open();
+    panel.setConfig(config);
     const marked = inGridUnits(job, config);
     if (marked.length) {
       const list = landmarks(marked);
@@ -167,6 +169,7 @@ export async function show(root, { id }, signal) {
     }
     aside.append(settings(job, config, signal));
   } catch (error) {
+    panel.open();
     if (!(error instanceof Problem)) throw error;
     aside.append(problemNotice(error));
   }
