@@ -3,7 +3,8 @@
 Around each control point x_i with its image q_i the motion is affine, A_i = R_i S_i. On the way the
 rotation is part of the whole one (the shapes' common rotation and what remains of each,
 interpolated as rotations) and the stretch a power of the whole one, S_i^s, so that volumes change
-evenly. The positions are those that fit the edges carried so best (Alexa et al. 2000). In between,
+evenly. The positions are those that fit the edges carried so best (Alexa et al. 2000). Pieces that no
+edge connects go straight from place to place, seen from axes that turn with the whole. In between,
 points follow the controls near them.
 """
 
@@ -25,6 +26,8 @@ from morph_engine.flow.registration import Registration
 from morph_engine.row_blocks import row_blocks
 
 Points = NDArray[np.float64]
+Edges = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]
+Piece = slice | NDArray[np.intp]
 
 FOLLOWED = 8
 """Controls that a point follows."""
@@ -104,7 +107,8 @@ class Warp:
         self._spacing = float(np.median(cKDTree(self.start).query(self.start, 2)[0][:, 1]))
         cloud = ElasticCloud(source.points, source.form, 1.0)
         self._edges = _edges(self.start, cloud.near)
-        self._grounded = scipy.linalg.cho_factor(self._laplacian() + 1 / len(self.start))
+        self._pieces = _pieces(self._edges, len(self.start))
+        self._grounded = scipy.linalg.cho_factor(self._laplacian())
         affine = cloud.affine(self.end)
         for _ in range(SMOOTHINGS):
             affine = (affine + affine[cloud.near].mean(axis=1)) / 2
@@ -166,19 +170,23 @@ class Warp:
         return Followed(points, controls, near.astype(np.int32), weight)
 
     def _laplacian(self) -> Points:
+        """Of the edges, and regular: the mean of each piece is held."""
         i, j, weight = self._edges
         laplacian = np.zeros((len(self.start),) * 2)
         np.add.at(laplacian, (i, j), -weight)
         np.add.at(laplacian, (i, i), weight)
+        for piece in self._pieces:
+            block = (piece, piece) if isinstance(piece, slice) else np.ix_(piece, piece)
+            laplacian[block] += 1 / len(self.start[piece])
         return laplacian
 
     def _placed(self, affine: Points, share: float) -> Points:
         """Positions that fit the carried edges best, with their mean where it is by then."""
         middle = self._turned_middle(share) if self._turns_about_origin else self._middle(share)
-        placed: Points = self._shape(affine) + middle
+        placed: Points = self._shape(affine, share) + middle
         return placed
 
-    def _shape(self, affine: Points) -> Points:
+    def _shape(self, affine: Points, share: float) -> Points:
         """The same about their mean."""
         i, j, weight = self._edges
         edges = self.start[i] - self.start[j]
@@ -186,8 +194,18 @@ class Warp:
         right = np.zeros_like(self.start)
         np.add.at(right, i, weight[:, None] * carried)
         free = scipy.linalg.cho_solve(self._grounded, right)
+        if len(self._pieces) > 1:
+            for piece in self._pieces:
+                free[piece] += self._offset(piece, share) - free[piece].mean(axis=0)
         shape: Points = free - free.mean(axis=0)
         return shape
+
+    def _offset(self, piece: Piece, share: float) -> Points:
+        """The mean of a piece from that of all: on a straight line, as the whole turns."""
+        begin, end = (at[piece].mean(axis=0) - at.mean(axis=0) for at in (self.start, self.end))
+        turn = Rotation.from_rotvec(share * self._whole.as_rotvec())
+        offset: Points = turn.apply((1 - share) * begin + share * self._whole.inv().apply(end))
+        return offset
 
     def _middle(self, share: float) -> Points:
         """The mean of the controls on a straight line."""
@@ -203,18 +221,26 @@ class Warp:
 
     def _sweeps_far(self) -> bool:
         """Whether a straight mean takes controls much farther from the origin than its ends do."""
-        on_the_way = (self._shape(self.affine(s)) + self._middle(s) for s in SWEEP_SHARES)
+        on_the_way = (self._shape(self.affine(s), s) + self._middle(s) for s in SWEEP_SHARES)
         ends = _farthest(self.start), _farthest(self.end)
         return max(map(_farthest, on_the_way)) > LARGEST_SWEEP * max(ends)
+
+
+def _pieces(edges: Edges, count: int) -> list[Piece]:
+    """The controls of each part of the graph that no edge connects with another."""
+    i, j, weight = edges
+    graph = scipy.sparse.csr_array((weight, (i, j)), shape=(count, count))
+    pieces, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    if pieces == 1:
+        return [slice(None)]
+    return [np.flatnonzero(labels == piece) for piece in range(pieces)]
 
 
 def _farthest(points: Points) -> float:
     return float(np.linalg.norm(points, axis=1).max())
 
 
-def _edges(
-    points: Points, near: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+def _edges(points: Points, near: NDArray[np.intp]) -> Edges:
     """Both directions of the edges between neighbours, and their weights."""
     first = np.repeat(np.arange(len(near)), near.shape[1])
     pairs = np.stack([first, near.ravel()], axis=1)

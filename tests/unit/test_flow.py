@@ -536,6 +536,34 @@ def test_a_turned_body_is_found_and_turns_rigidly(turned) -> None:
     assert np.abs(after - before).max() < 0.5
 
 
+def ball(radius: float, spacing: float) -> np.ndarray:
+    """Points that fill a ball about the origin."""
+    axis = np.arange(-radius, radius + spacing / 2, spacing)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside: np.ndarray = points[np.linalg.norm(points, axis=1) <= radius]
+    return inside
+
+
+@pytest.mark.parametrize("degrees", [0, 100])
+def test_pieces_that_do_not_touch_keep_their_distances_as_the_whole_turns(degrees: float) -> None:
+    """Three balls stay as they are, or turn about the middle of all; none drifts."""
+    places = np.array([[-4.0, 0, 0], [4.0, 0, 0], [0, 5.0, 1.0]])
+    source = np.concatenate([place + ball(2.0, 0.5) for place in places])
+    turn = Rotation.from_euler("z", degrees, degrees=True)
+    controls = sample_controls(source, 0.5)
+    if degrees:
+        found = Registration(turn.apply(controls.points), 0.0, 0.0)
+    else:
+        found = register(controls, controls, 1.0)
+    warp, middle = Warp(controls, found), source.mean(axis=0)
+    for share in (0.1, 0.5, 1.0):
+        part = Rotation.from_euler("z", share * degrees, degrees=True)
+        moved = (1 - share) * middle + share * turn.apply(middle)
+        expected = part.apply(source - middle) + moved
+        there = warp.forward(warp.follow(source), share)
+        assert np.linalg.norm(there - expected, axis=1).max() < 0.35
+
+
 def test_a_warp_knows_where_points_come_from_and_go(turned) -> None:
     """`ends` undoes and completes `forward`."""
     source, _, warp, _ = turned
