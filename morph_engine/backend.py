@@ -15,8 +15,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import operator
 import os
 import time
+from collections.abc import Iterator
 from ctypes.util import find_library
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +30,7 @@ from numpy.typing import NDArray
 
 from morph_engine import array_copies, array_lifetimes, kernel_launching, kernel_loading
 from morph_engine.device import Device
-from morph_engine.errors import DeviceError
+from morph_engine.errors import ConfigError, DeviceError
 from morph_engine.pinned_threads import pinned
 from morph_engine.system_libraries import require_libraries
 
@@ -39,6 +41,9 @@ Precision = Literal["float32", "float64"]
 # Taichi 1.7 runs a CPU loop of up to 512 iterations on one thread, so chunk c is iteration c * 512.
 CPU_CHUNK_STRIDE = 512
 CPU_CHUNK_COUNT = 8
+
+MOST_THREADS = 1024
+"""CPU threads that may be asked for; many more would leave the machine none for anything else."""
 
 LOCK_SECONDS = 60.0
 """Taichi locks its offline cache for a fraction of a second; a lock this old is of a dead process,
@@ -67,6 +72,12 @@ class Backend:
     def numpy_real(self) -> type[np.floating[Any]]:
         """The NumPy type of every real number on the device."""
         return np.float64 if self.precision == "float64" else np.float32
+
+    @property
+    def told(self) -> str:
+        """The settings in words."""
+        threads = f"{self.threads} threads" if self.threads else "all threads"
+        return f"{self.device}, {threads} and {self.precision}"
 
     def scalars(self, count: int) -> Any:
         """A zeroed device array of reals, shape [count]."""
@@ -102,6 +113,8 @@ class Backend:
 
 
 _active: Backend | None = None
+_process = 0  # that Taichi runs in
+_runs: set[object] = set()  # in progress, each with device arrays
 
 
 def start(
@@ -109,23 +122,38 @@ def start(
 ) -> Backend:
     """Start Taichi, or keep it when it already runs with the same settings.
 
-    Restarting with other settings invalidates every device array made before.
+    Restarting with other settings invalidates every device array made before, so that it is
+    refused while a run is in progress.
 
     Args:
         device: "auto" takes CUDA, then Metal on a Mac, then the CPU.
-        threads: CPU threads; 0 takes every core.
+        threads: CPU threads, at most MOST_THREADS; 0 takes every core.
         precision: Type of every real number on the device.
 
     Raises:
+        ConfigError: There cannot be so many threads.
         DeviceError: The device is not available, or cannot compute in this precision; or Taichi
-            cannot be loaded on this system.
+            cannot be loaded on this system, was started before this process was forked, or is in
+            use with other settings.
     """
-    global _active
+    global _active, _process
+    threads = _checked_threads(threads)
     require_libraries()
     kernel_loading.shorten()
     wanted = Backend(_choose(device), threads, precision)
+    if _active and _process != os.getpid():
+        raise DeviceError(
+            "This process was forked from one in which Taichi runs, and cannot compute.",
+            "Start it by spawning: multiprocessing.get_context('spawn').",
+        )
     if wanted == _active:
         return wanted
+    if _active and _runs:
+        raise DeviceError(
+            f"Another morph in this process is in progress, with {_active.told}; this one asks for "
+            f"{wanted.told}.",
+            "Finish or close the other one first, or use the same settings for both.",
+        )
     if precision == "float64" and wanted.device in ("metal", "vulkan"):
         raise DeviceError(
             f"The device {wanted.device} does not support float64.",
@@ -148,8 +176,19 @@ def start(
         )
     array_copies.shorten()
     kernel_launching.shorten()
-    _active = wanted
+    _active, _process = wanted, os.getpid()
     return wanted
+
+
+@contextlib.contextmanager
+def in_use() -> Iterator[None]:
+    """Keep Taichi as it is meanwhile: a run has arrays on the device."""
+    run = object()
+    _runs.add(run)
+    try:
+        yield
+    finally:
+        _runs.discard(run)
 
 
 def end() -> None:
@@ -192,6 +231,19 @@ def kernel_folder() -> Path:
     """Where Taichi keeps compiled kernels between processes."""
     named = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH")
     return Path(named or ti.lang.impl.default_cfg().offline_cache_file_path)
+
+
+def _checked_threads(threads: int) -> int:
+    try:
+        count = operator.index(threads)
+    except TypeError:
+        count = -1
+    if not 0 <= count <= MOST_THREADS:
+        raise ConfigError(
+            f"There cannot be {threads!r} CPU threads.",
+            f"Set `threads` to 1 to {MOST_THREADS}, or to 0 for every core.",
+        )
+    return count
 
 
 def _remove_old_lock(cache: Path) -> None:

@@ -47,6 +47,7 @@ from morph_engine.machine_cores import usable_cores
 from morph_engine.machine_memory import free_memory
 from morph_engine.memory_return import return_free_memory
 from morph_engine.methods import FrameOutcome, Method, Problem
+from morph_engine.methods.outcome_check import check_outcome
 from morph_engine.metrics.chamfer import chamfer_metrics
 from morph_engine.metrics.deformation import determinant_metrics, determinants
 from morph_engine.metrics.volume import fill_metrics, outside_metrics
@@ -155,7 +156,8 @@ def morph(
             one has ended.
         config: All parameters; the default preset when not given.
         device: Where to compute.
-        threads: CPU threads; 0 takes every core.
+        threads: CPU threads, at most 1024; 0 takes every core. Several morphs at once in a process
+            have the same device, threads and precision.
         out: Result file (VTKHDF). Every finished frame is safe on disk at once, and the file is
             written when the run ends, whether complete or interrupted.
         resume: Go on with the unfinished run of `out`; the frames already there come first.
@@ -235,6 +237,20 @@ def run(
     # Everything that can be refused is refused before a run directory exists.
     method = methods.find(config.method.name)
     backend.start(device, threads=threads, precision=config.precision)
+    with backend.in_use():
+        yield from _run(record, method, threads, on_stage, out, resume, overwrite)
+
+
+def _run(
+    record: RunRecord,
+    method: type[Method[Any]],
+    threads: int,
+    on_stage: Callable[[Stage], None],
+    out: str | Path | None,
+    resume: bool,
+    overwrite: bool,
+) -> Iterator[Frame]:
+    """What is left to do once Taichi runs."""
     if out is None:
         yield from _frames(record, method, threads, on_stage)
         return
@@ -345,7 +361,9 @@ class _Leg:
     def advance(self, method: Method[Any], index: int) -> FrameOutcome:
         """The next frame, which has an index in the leg."""
         try:
-            return method.advance(index)
+            outcome = method.advance(index)
+            check_outcome(outcome, method, index)
+            return outcome
         except SimulationError as error:
             raise SimulationError(self._told(error.cause), error.remedy) from error
 
@@ -464,11 +482,12 @@ def _computed_frames(
                 with span("measuring"):
                     metrics |= _measure_fill(outcome, record, threads)
             metrics |= outcome.numbers
-            metrics["max_move"] = _max_move(before, outcome.positions)
-            before = outcome.positions
+            positions = np.array(outcome.positions)  # which the method may go on to change
+            metrics["max_move"] = _max_move(before, positions)
+            before = positions
             frame = Frame(
                 index=leg.first + index,
-                positions=outcome.positions,
+                positions=positions,
                 metrics=metrics,
                 events=tuple(events),
                 seconds=time.perf_counter() - wall,

@@ -3,9 +3,9 @@
 Around each control point x_i with its image q_i the motion is affine, A_i = R_i S_i. On the way the
 rotation is part of the whole one (the shapes' common rotation and what remains of each,
 interpolated as rotations) and the stretch a power of the whole one, S_i^s, so that volumes change
-evenly. The positions are those that fit the edges carried so best (Alexa et al. 2000). Pieces that no
-edge connects go straight from place to place, seen from axes that turn with the whole. In between,
-points follow the controls near them.
+evenly. The positions are those that fit the edges carried so best (Alexa et al. 2000). Pieces that
+no edge connects go straight from place to place, seen from axes that turn with the whole. In
+between, points follow the controls near them.
 """
 
 from __future__ import annotations
