@@ -1,4 +1,4 @@
-/** The 3D view: particles or a surface, the target as a ghost, a cut, a camera. Draws on demand. */
+/** The 3D view: particles or a surface, the target as a ghost, a cut. Draws on demand. */
 import {
   Box3,
   BufferAttribute,
@@ -9,53 +9,43 @@ import {
   LineSegments,
   Matrix4,
   NeutralToneMapping,
-  PerspectiveCamera,
   Plane,
   Scene,
-  Sphere,
   Vector3,
   WebGLRenderer,
   WireframeGeometry,
 } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import { backdrop } from "./backdrop.js";
+import { lowest } from "./bounds.js";
 import { CASTS, ContactShadow } from "./contact_shadow.js";
 import { DepthOfField, POINTS } from "./depth_of_field.js";
 import { FOCUS } from "./focus.js";
+import { freshCanvas } from "./fresh_canvas.js";
 import { LOOKS } from "./looks.js";
 import { Marks } from "./marks.js";
 import { BALL } from "./matcap.js";
 import { roomLight } from "./materials.js";
-import { NONE } from "./nearest.js";
 import { Occlusion } from "./occlusion.js";
 import { shades } from "./own_colors.js";
-import { LEVELS, palette } from "./palettes.js";
 import { Particles } from "./particles.js";
-import { LEVELS as FINENESS, Quality } from "./quality.js";
+import { LEVELS, Quality } from "./quality.js";
 import { record } from "./recording.js";
 import { spacing } from "./spacing.js";
 import { Surface } from "./surface.js";
+import { byParticle, byValue } from "./vertex_colors.js";
+import { Viewpoint } from "./viewpoint.js";
 
-const FIELD_OF_VIEW = 35;
-const TURN = Math.PI / 36;
-const PAN_PIXELS = 24;
-const ZOOM = 1.1;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
-const FROM = { y: [0.5, 0.35, 1], z: [0.5, -1, 0.35] };
-const MARGIN = 1.1; // around everything in sight, for the controls
-const SLACK = 1.05; // a frame may reach so far beyond what is in sight, since there is a margin
 const RADIUS = 0.62; // of the spacing: neighbours touch and holes still show
 const GHOST_RADIUS = 0.22;
 const SKETCHED = 10_000; // particles of a sketch
 const REST_MILLISECONDS = 300; // without a change, which is longer than a frame at the slowest pace
-const SIDES = { 1: { y: [0, 0, 1], z: [0, -1, 0] }, 3: { y: [1, 0, 0], z: [1, 0, 0] }, 7: { y: [0, 1, 0], z: [0, 0, 1] } };
 const LAMPS = [
   [1.5, -0.7, 0.9, 0.5], // strength and place beside the camera: key
   [1, 0.8, 0.5, -1.2], // and rim; the room fills
 ];
 const ROOM = 0.36; // strength of the room's light
-const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
 /**
  * A view of particles in an element that has a size of its own.
@@ -64,13 +54,8 @@ const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
  * `--edge`, that of particles from the look; the background is the element's own.
  */
 export class Viewer {
-  #frameOf = null; // bounding sphere the camera was last fitted to
-  #ends = null; // bounding sphere of the shapes that the matter comes from and goes to
   #queued = false;
   #observer;
-  #up = "y";
-  #silent = false;
-  #touched = false;
   #resting = 0;
   #occlusion = null;
   #behind = null;
@@ -79,9 +64,6 @@ export class Viewer {
   #cast = 0; // share of the particles that cast the shadow there is; 0 where it is of something else
   #told = "";
   #spaced = false;
-  #covered = { top: 0, right: 0, bottom: 0 };
-  #reducedMotion;
-  #onView;
   #onQuality;
   #listen = new AbortController();
 
@@ -105,7 +87,16 @@ export class Viewer {
 
     this.scene = new Scene();
     this.scene.environmentIntensity = ROOM;
-    this.camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.1, 1000);
+    this.viewpoint = new Viewpoint(element, canvas, {
+      reducedMotion,
+      positions: () => this.particles.positions,
+      onFit: ({ radius }) => {
+        this.surface.setSize(radius);
+        this.setCut(this.cut ?? null);
+      },
+      onChange: () => this.draw(),
+      onMove: onView,
+    });
     for (const [strength, ...place] of LAMPS) {
       const lamp = new DirectionalLight(0xffffff, strength);
       lamp.position.set(...place);
@@ -122,11 +113,8 @@ export class Viewer {
     this.marks = new Marks();
     this.scene.add(this.camera, this.particles, this.ghost, this.surface, this.shadow, this.marks);
 
-    this.#reducedMotion = reducedMotion;
-    this.#onView = onView;
     this.#onQuality = onQuality;
     this.setLook("clay");
-    this.#control();
     const { signal } = this.#listen;
     document.addEventListener("themechange", () => this.#repaint(), { signal });
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault(), { signal });
@@ -137,6 +125,16 @@ export class Viewer {
     this.resize();
   }
 
+  /** @returns {import("three").PerspectiveCamera} */
+  get camera() {
+    return this.viewpoint.camera;
+  }
+
+  /** @returns {OrbitControls} */
+  get controls() {
+    return this.viewpoint.controls;
+  }
+
   /** Show the particles of a frame; the camera sees all of them until the user moves it. */
   setFrame(index, positions) {
     this.index = index;
@@ -144,7 +142,8 @@ export class Viewer {
     if (others && !this.#spaced) this.#space(spacing(positions));
     this.particles.setPositions(positions);
     this.transform(new Matrix4());
-    if (!this.#touched && (others || !this.#framed)) this.reset();
+    if (others) this.viewpoint.settle();
+    else this.viewpoint.follow();
     this.draw();
   }
 
@@ -154,8 +153,7 @@ export class Viewer {
    * @param {Float32Array[]} clouds the shapes that the matter comes from and goes to.
    */
   setEnds(clouds) {
-    this.#ends = ball(clouds);
-    if (!this.#touched) this.reset();
+    this.viewpoint.setEnds(clouds);
   }
 
   /** Show no particles and no surface until the next frame. */
@@ -191,7 +189,7 @@ export class Viewer {
     const { left, top, width, height } = this.canvas.getBoundingClientRect();
     const { positions } = this.particles;
     const seen = new Vector3();
-    const pixels = height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
+    const pixels = this.viewpoint.scale(height);
     let nearest = null;
     let least = Infinity;
     for (let i = 0; i < positions.length; i += 3) {
@@ -295,7 +293,7 @@ export class Viewer {
    */
   setSurfaceColors(values, scale, near) {
     const plain = new Color(LOOKS[this.look].color);
-    this.surface.setColors(values && vertexColors(values, scale, near, plain));
+    this.surface.setColors(values && byValue(values, scale, near, plain));
     this.draw();
   }
 
@@ -310,7 +308,7 @@ export class Viewer {
    * @param {Uint32Array} [near] the particle of each vertex; without it colours are of the vertices.
    */
   setSurfaceLight(light, near) {
-    this.surface.setColors(near ? picked(light, near, new Color(LOOKS[this.look].color)) : light);
+    this.surface.setColors(near ? byParticle(light, near, new Color(LOOKS[this.look].color)) : light);
     this.draw();
   }
 
@@ -329,7 +327,7 @@ export class Viewer {
     }
     this.shadow.footprint.uniforms.cut.value.copy(this.particles.material.uniforms.cut.value);
     const axis = new Vector3(...normal);
-    this.surface.setCut(cut && { normal: axis, offset: cut.offset, center: this.#frameOf?.center ?? new Vector3() });
+    this.surface.setCut(cut && { normal: axis, offset: cut.offset, center: this.viewpoint.fitted?.center ?? new Vector3() });
     if (this.wireframe) {
       this.wireframe.material.clippingPlanes = cut ? [new Plane(axis.clone().negate(), cut.offset)] : [];
     }
@@ -338,48 +336,38 @@ export class Viewer {
 
   /** @param {"y"|"z"} axis that points up. */
   setUp(axis) {
-    if (axis === this.#up) return;
-    this.#up = axis;
-    this.camera.up.set(...AXES[axis]);
+    if (axis === this.viewpoint.up) return;
     this.scene.environmentRotation.x = axis === "z" ? Math.PI / 2 : 0;
-    this.#control();
-    this.reset();
+    this.viewpoint.setUp(axis);
   }
 
-  /** Where the camera is and what it was fitted to, to be given to another viewer. */
+  /** Where the camera is, to be given to another viewer: see viewpoint.js. */
   get view() {
-    return {
-      position: this.camera.position.toArray(),
-      target: this.controls.target.toArray(),
-      frameOf: this.#frameOf,
-    };
+    return this.viewpoint.view;
   }
 
-  set view({ position, target, frameOf }) {
-    this.#touched = true;
-    if (frameOf) this.#fit(frameOf);
-    this.camera.position.fromArray(position);
-    this.controls.target.fromArray(target);
-    this.#quietly(() => this.controls.update());
-    this.draw();
+  set view(view) {
+    this.viewpoint.view = view;
   }
 
-  /**
-   * Where the eye is, as camera keys of exports have it.
-   *
-   * @returns {{azimuth: number, elevation: number, zoom: number}} degrees about the upward axis and above the
-   *   horizon, and how many times larger things are than where all is in sight.
-   */
+  /** Where the eye is, as camera keys of exports have it: see viewpoint.js. */
   get eye() {
-    const arm = this.camera.position.clone().sub(this.controls.target).normalize();
-    const [upward, front] = this.#up === "z" ? [arm.z, -arm.y] : [arm.y, arm.z];
-    const degrees = 180 / Math.PI;
-    const whole = this.#farAway(this.#frameOf?.radius ?? this.distance);
-    return {
-      azimuth: Math.atan2(arm.x, front) * degrees,
-      elevation: Math.asin(Math.min(Math.max(upward, -1), 1)) * degrees,
-      zoom: Math.min(Math.max(whole / this.distance, 0.1), 100),
-    };
+    return this.viewpoint.eye;
+  }
+
+  /** Look at everything from the usual side. */
+  reset() {
+    this.viewpoint.reset();
+  }
+
+  /** Move the camera by steps or to a side, as keys do: see viewpoint.js. */
+  steer(move) {
+    this.viewpoint.steer(move);
+  }
+
+  /** Turn the camera about what it looks at [radians]. */
+  turn(angle) {
+    this.viewpoint.turn(angle);
   }
 
   /**
@@ -388,99 +376,7 @@ export class Viewer {
    * @param {{top: number, right: number, bottom: number}} sides how much of each is covered [pixels].
    */
   setCovered(sides) {
-    if (Object.entries(sides).every(([name, pixels]) => this.#covered[name] === pixels)) return;
-    this.#covered = sides;
-    this.resize();
-  }
-
-  /** Width and height that nothing covers, at least an eighth of each [pixels]. */
-  get #free() {
-    const { clientWidth: width, clientHeight: height } = this.element;
-    const { top, right, bottom } = this.#covered;
-    return [Math.max(width - right, width / 8), Math.max(height - top - bottom, height / 8)];
-  }
-
-  /** @returns {number} from where all of a ball is in sight [grid units]. */
-  #farAway(radius) {
-    const narrow = Math.min(...this.#free) / Math.max(this.element.clientHeight, 1);
-    return (MARGIN * radius) / Math.sin((FIELD_OF_VIEW * Math.PI) / 360) / narrow;
-  }
-
-  /** @returns {number} from the camera to what it looks at [grid units]. */
-  get distance() {
-    return this.camera.position.distanceTo(this.controls.target);
-  }
-
-  /** Look at everything from the usual side: at all of the ends, and at a frame that reaches beyond them. */
-  reset() {
-    const { positions, count } = this.particles;
-    if (!this.#ends && !count) return;
-    const { center, radius: least } = this.#ends ?? ball([positions]);
-    const radius = Math.max(least, reach(positions, center) / SLACK);
-    this.#fit(new Sphere(center, radius));
-    this.#touched = false;
-    this.controls.target.copy(center);
-    this.camera.position
-      .set(...FROM[this.#up])
-      .setLength(this.#farAway(radius))
-      .add(center);
-    this.#quietly(() => this.controls.update());
-    this.draw();
-  }
-
-  /** Take the depths that are drawn, shaded and allowed from what is in sight. */
-  #fit(sphere) {
-    const { radius } = sphere;
-    this.#frameOf = sphere;
-    this.camera.near = radius / 100;
-    this.camera.far = radius * 40;
-    this.controls.minDistance = radius / 10;
-    this.controls.maxDistance = radius * 20;
-    this.camera.updateProjectionMatrix();
-    this.surface.setSize(radius);
-    this.setCut(this.cut ?? null);
-  }
-
-  /**
-   * Move the camera by steps or to a side, as keys do.
-   *
-   * @param {{turn?: number[], pan?: number[], zoom?: number, side?: string}} move
-   */
-  steer({ turn, pan, zoom, side }) {
-    const { controls } = this;
-    this.#quietly(() => {
-      if (turn) {
-        controls.rotateLeft(TURN * turn[0]);
-        controls.rotateUp(TURN * turn[1]);
-      }
-      if (pan) controls.pan(PAN_PIXELS * pan[0], PAN_PIXELS * pan[1]);
-      if (zoom > 0) controls.dollyIn(ZOOM);
-      if (zoom < 0) controls.dollyOut(ZOOM);
-      if (side) this.#lookFrom(side);
-      controls.update();
-    });
-    this.draw();
-    this.#moved();
-  }
-
-  /** 1, 3 and 7 are the front, the right and the top; 9 is the opposite side. */
-  #lookFrom(side) {
-    const { position } = this.camera;
-    const { target } = this.controls;
-    const arm = position.clone().sub(target);
-    const length = arm.length();
-    if (SIDES[side]) arm.set(...SIDES[side][this.#up]).setLength(length);
-    else arm.negate();
-    position.copy(target).add(arm);
-  }
-
-  /** Turn the camera about what it looks at [radians]. */
-  turn(angle) {
-    const arm = this.camera.position.clone().sub(this.controls.target);
-    arm.applyAxisAngle(this.camera.up, angle);
-    this.camera.position.copy(this.controls.target).add(arm);
-    this.#quietly(() => this.controls.update());
-    this.draw();
+    if (this.viewpoint.setCovered(sides)) this.resize();
   }
 
   /** Draw at the next opportunity, once; more finely as soon as nothing changes any more. */
@@ -505,7 +401,7 @@ export class Viewer {
     const level = quality.level(kind, motion);
     const measured = quality.measures(kind, level);
     const begun = performance.now();
-    this.#render(FINENESS[level].name);
+    this.#render(LEVELS[level].name);
     if (motion === "still") for (let point = 0; point < this.#points; point++) this.#blur(point);
     if (!measured || this.#points) return;
     const gl = this.renderer.getContext();
@@ -543,7 +439,7 @@ export class Viewer {
     }
     const { kind, quality } = this;
     this.canvas.removeAttribute("aria-busy");
-    const [still, moving] = ["still", "moving"].map((motion) => FINENESS[quality.level(kind, motion)].label.toLowerCase());
+    const [still, moving] = ["still", "moving"].map((motion) => LEVELS[quality.level(kind, motion)].label.toLowerCase());
     if (this.#told === still + moving) return;
     this.#told = still + moving;
     this.#onQuality({ still, moving });
@@ -556,8 +452,8 @@ export class Viewer {
 
   #blur(point) {
     const { renderer, camera, controls, kind, quality } = this;
-    const fineness = FINENESS[quality.level(kind, "still")].name;
-    const lens = this.#lens * (this.#frameOf?.radius ?? 10);
+    const fineness = LEVELS[quality.level(kind, "still")].name;
+    const lens = this.#lens * this.viewpoint.radius;
     this.#depth ??= new DepthOfField();
     this.#depth.add(point, { renderer, camera, target: controls.target, lens }, () => this.#render(fineness));
   }
@@ -567,16 +463,15 @@ export class Viewer {
     const full = fineness === "full";
     const ratio = sketch ? 0.5 : Math.min(devicePixelRatio, full ? 2 : 1);
     if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
-    const radius = this.#frameOf?.radius ?? 10;
+    const { radius, distance } = this.viewpoint;
     const share = sketch ? Math.min(1, SKETCHED / Math.max(this.particles.count, 1)) : 1;
-    const { distance } = this;
-    const pixels = this.canvas.height / (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360));
+    const pixels = this.viewpoint.scale(this.canvas.height);
     for (const cloud of [this.particles, this.ghost]) {
       cloud.thin(share);
       cloud.material.uniforms.pixels.value = pixels;
       cloud.material.uniforms.depth.value = [distance - radius, distance + radius];
     }
-    this.marks.fit((2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.canvas.clientHeight);
+    this.marks.fit(1 / this.viewpoint.scale(this.canvas.clientHeight));
     if (this.#cast < share) this.#castShadow(radius, share);
     this.surface.refract(full);
     this.scene.background = full && this.surface.visible && this.surface.clear ? this.#backdrop() : null;
@@ -597,18 +492,19 @@ export class Viewer {
 
   #castShadow(radius, share) {
     this.shadow.visible = this.particles.visible || this.surface.visible;
-    if (!this.shadow.visible || !this.#frameOf || !this.particles.count) return;
+    const { up, fitted } = this.viewpoint;
+    if (!this.shadow.visible || !fitted || !this.particles.count) return;
     this.#cast = share;
-    this.shadow.place(this.#up, this.#frameOf.center, radius, this.#lowest);
+    this.shadow.place(up, fitted.center, radius, this.#lowest(up));
     this.shadow.update(this.renderer, this.scene, (2 * this.particles.radius) / Math.cbrt(share));
   }
 
   /** @returns {number} how far down what is shown reaches along the upward axis [grid units]. */
-  get #lowest() {
+  #lowest(up) {
     const { particles, surface } = this;
-    if (surface.visible) return lowest(surface.mesh.geometry.attributes.position.array, surface.matrixWorld, this.#up);
+    if (surface.visible) return lowest(surface.mesh.geometry.attributes.position.array, surface.matrixWorld, up);
     particles.updateWorldMatrix(true, false);
-    return lowest(particles.positions, particles.matrixWorld, this.#up);
+    return lowest(particles.positions, particles.matrixWorld, up);
   }
 
   /** Something else is shown, or elsewhere. */
@@ -628,25 +524,16 @@ export class Viewer {
     const { clientWidth: width, clientHeight: height } = this.element;
     if (!width || !height) return;
     this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.#centre();
+    this.viewpoint.resize();
     this.quality.forget();
-    if (!this.#touched) this.reset();
     this.draw();
-  }
-
-  /** Put what the camera looks at into the middle of what nothing covers. */
-  #centre() {
-    const { clientWidth: width, clientHeight: height } = this.element;
-    const { top, right, bottom } = this.#covered;
-    this.camera.setViewOffset(width, height, right / 2, (bottom - top) / 2, width, height);
   }
 
   /** @returns {Promise<Blob>} what is shown, as PNG, in the middle of the picture. */
   screenshot() {
-    this.camera.clearViewOffset();
+    this.viewpoint.uncentre();
     this.render();
-    this.#centre();
+    this.viewpoint.centre();
     this.draw();
     return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
   }
@@ -664,12 +551,12 @@ export class Viewer {
     };
     // films are opaque, where pictures let through what is behind them
     this.renderer.setClearColor(getComputedStyle(this.element.parentElement).backgroundColor, 1);
-    this.camera.clearViewOffset();
+    this.viewpoint.uncentre();
     try {
       return await record(this.canvas, draw, options);
     } finally {
       this.renderer.setClearColor(0x000000, 0);
-      this.#centre();
+      this.viewpoint.centre();
       this.draw();
     }
   }
@@ -679,7 +566,7 @@ export class Viewer {
     this.disposed = true;
     this.#listen.abort();
     this.#observer.disconnect();
-    this.controls.dispose();
+    this.viewpoint.dispose();
     clearTimeout(this.#resting);
     this.setWireframe(null);
     this.scene.environment?.dispose();
@@ -713,124 +600,4 @@ export class Viewer {
   #colour(name) {
     return getComputedStyle(this.element).getPropertyValue(name).trim() || "#8a94a6";
   }
-
-  /** New controls, since they take the axis they turn about from the camera when they are made. */
-  #control() {
-    this.controls?.dispose();
-    this.controls = new OrbitControls(this.camera, this.canvas);
-    this.canvas.style.touchAction = "inherit"; // the style sheet says where a finger scrolls
-    this.controls.enableDamping = !this.#reducedMotion;
-    this.controls.dampingFactor = 0.18;
-    this.controls.addEventListener("change", () => {
-      this.draw();
-      if (!this.#silent) this.#moved();
-    });
-  }
-
-  #moved() {
-    this.#touched = true;
-    this.#onView(this.view);
-  }
-
-  /** Whether a reset would change nothing; as long as no ends are known, whether all particles are in sight. */
-  get #framed() {
-    const seen = this.#frameOf;
-    if (!seen) return false;
-    const needed = reach(this.particles.positions, seen.center) / SLACK;
-    return this.#ends ? seen.radius === Math.max(this.#ends.radius, needed) : seen.radius >= needed;
-  }
-
-  /** Move the camera at once, and tell nobody. */
-  #quietly(move) {
-    const damping = this.controls.enableDamping;
-    this.#silent = true;
-    this.controls.enableDamping = false;
-    move();
-    this.controls.enableDamping = damping;
-    this.#silent = false;
-  }
-}
-
-/** Colours of vertices, linear as the lights need them, shape [vertices, 3] in 0..1. */
-function vertexColors(values, { low, high, palette: name }, near, plain) {
-  const table = palette(name);
-  const linear = (level) => {
-    const shade = level / 255;
-    return shade <= 0.04045 ? shade / 12.92 : ((shade + 0.055) / 1.055) ** 2.4;
-  };
-  const shades = Float32Array.from(table, linear);
-  const out = new Float32Array(3 * near.length);
-  for (let v = 0; v < near.length; v++) {
-    const value = near[v] === NONE ? NaN : values[near[v]];
-    if (Number.isNaN(value)) {
-      plain.toArray(out, 3 * v);
-      continue;
-    }
-    const share = Math.min(Math.max((value - low) / Math.max(high - low, 1e-9), 0), 1);
-    const level = 4 * Math.round(share * (LEVELS - 1));
-    out.set(shades.subarray(level, level + 3), 3 * v);
-  }
-  return out;
-}
-
-/** The colour of each vertex's particle; a plain one where none is near. */
-function picked(light, near, plain) {
-  const out = new Float32Array(3 * near.length);
-  for (let v = 0; v < near.length; v++) {
-    if (near[v] === NONE) plain.toArray(out, 3 * v);
-    else out.set(light.subarray(3 * near[v], 3 * near[v] + 3), 3 * v);
-  }
-  return out;
-}
-
-let drawsOnProcessor;
-
-/**
- * A canvas to draw on. Where no graphics card is there every pixel costs, so that the first context,
- * which finds that out, has no smooth edges and is kept.
- *
- * @returns {{canvas: HTMLCanvasElement, software: boolean}}
- */
-function freshCanvas() {
-  const canvas = document.createElement("canvas");
-  if (drawsOnProcessor === undefined) {
-    const gl = canvas.getContext("webgl2", { antialias: false, stencil: true });
-    const info = gl?.getExtension("WEBGL_debug_renderer_info");
-    drawsOnProcessor = SOFTWARE.test(gl?.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
-    if (!drawsOnProcessor) {
-      gl?.getExtension("WEBGL_lose_context")?.loseContext();
-      return freshCanvas();
-    }
-  }
-  return { canvas, software: drawsOnProcessor };
-}
-
-/** The distance from a point to the farthest particle [grid units]. */
-function reach(positions, { x, y, z }) {
-  let farthest = 0;
-  for (let i = 0; i < positions.length; i += 3) {
-    const square = (positions[i] - x) ** 2 + (positions[i + 1] - y) ** 2 + (positions[i + 2] - z) ** 2;
-    if (square > farthest) farthest = square;
-  }
-  return Math.sqrt(farthest);
-}
-
-/** A ball around the box around clouds of particles. */
-function ball(clouds) {
-  const box = new Box3();
-  for (const positions of clouds) box.union(new Box3().setFromArray(positions));
-  const center = box.getCenter(new Vector3());
-  return new Sphere(center, Math.max(...clouds.map((positions) => reach(positions, center)), 0.1));
-}
-
-/** How far down points reach along the upward axis where a map leads them [grid units]. */
-function lowest(positions, { elements }, up) {
-  const axis = "xyz".indexOf(up);
-  const [a, b, c, d] = [0, 4, 8, 12].map((column) => elements[column + axis]);
-  let least = Infinity;
-  for (let i = 0; i < positions.length; i += 3) {
-    const height = a * positions[i] + b * positions[i + 1] + c * positions[i + 2] + d;
-    if (height < least) least = height;
-  }
-  return least;
 }
