@@ -22,7 +22,7 @@ from morph_engine.rendering import colormap, materials
 from morph_engine.rendering.camera_path import AZIMUTH, ELEVATION, CameraPath
 from morph_engine.rendering.contact_shadow import Ground
 from morph_engine.rendering.picture_options import STILL, PictureOptions, background_color
-from morph_engine.rendering.rasterizer import Canvas
+from morph_engine.rendering.rasterizer import LARGE, Canvas
 from morph_engine.rendering.video_encoder import (
     VideoKind,
     check_rate,
@@ -51,6 +51,9 @@ SMOOTH_OVER_RADIUS = 3
 """Reach and depth of the mean that makes one surface of particles, in radii of theirs."""
 
 MARGIN = 1.06
+LEAST_REACH = 1e-6
+"""Of a camera that looks at a single point [dx]."""
+
 KINDS: dict[str, VideoKind] = {
     ".mp4": "mp4",
     ".webm": "webm",
@@ -87,13 +90,17 @@ class Camera:
     up: Up | None = None
 
     @classmethod
-    def facing(cls, points: npt.ArrayLike, rotation: Floats, size: Size) -> Camera:
+    def facing(
+        cls, points: npt.ArrayLike, rotation: Floats, size: Size, *, least: float = 0.0
+    ) -> Camera:
         """A camera that shows all points.
 
         Args:
             points: Positions [dx], shape [n, 3]; those not finite are overlooked.
             rotation: From the domain to the eye, shape [3, 3], see `look`.
             size: Width and height of the picture [pixels].
+            least: It shows no less than this from the centre to the nearer edges [dx]. Give the
+                spacing of particles, which have a size even where they all lie in one place.
         """
         seen, _ = finite_points(points)
         if not len(seen):
@@ -101,11 +108,13 @@ class Camera:
         seen = seen @ rotation.T
         lower, upper = seen.min(axis=0), seen.max(axis=0)
         half = (upper - lower)[:2] / 2 * min(size) / np.array(size)
-        reach = MARGIN * max(float(half.max()), 1e-6)
+        reach = MARGIN * max(float(half.max()), least, LEAST_REACH)
         return cls(rotation, (lower + upper) / 2 @ rotation, reach)
 
     @classmethod
-    def around(cls, points: npt.ArrayLike, rotation: Floats, size: Size) -> Camera:
+    def around(
+        cls, points: npt.ArrayLike, rotation: Floats, size: Size, *, least: float = 0.0
+    ) -> Camera:
         """A camera that shows all points while they turn about the axis that looks upright.
 
         Arguments as for `facing`.
@@ -119,14 +128,15 @@ class Camera:
         aside = np.linalg.norm((array - centre) * (1 - upward), axis=1)
         tilt = float(np.arccos(np.clip(rotation[1] @ upward, -1, 1)))
         half = np.array([aside.max(), (height * np.cos(tilt) + aside * np.sin(tilt)).max()])
-        reach = MARGIN * max(float((half * min(size) / np.array(size)).max()), 1e-6)
+        half = half * min(size) / np.array(size)
+        reach = MARGIN * max(float(half.max()), least, LEAST_REACH)
         return cls(rotation, centre, reach)
 
     @classmethod
-    def anywhere(cls, points: npt.ArrayLike, rotation: Floats) -> Camera:
+    def anywhere(cls, points: npt.ArrayLike, rotation: Floats, *, least: float = 0.0) -> Camera:
         """A camera that shows all points from wherever it looks; arguments as for `facing`."""
         centre, radius = ball_around(points)
-        return cls(rotation, centre, MARGIN * max(radius, 1e-6))
+        return cls(rotation, centre, MARGIN * max(radius, least, LEAST_REACH))
 
     def seen(self, points: npt.ArrayLike, size: Size) -> npt.NDArray[np.float32]:
         """Positions in pixels from the picture's centre, shape [n, 3], float32."""
@@ -224,7 +234,7 @@ def picture(
         low, high = limits or colormap.limits(values, diverging=diverging)
         name = colormap.DIVERGING if diverging else colormap.SEQUENTIAL
         colors = colormap.colors(values, low, high, palette=name)
-    camera = view or Camera.facing(points, look(), size)
+    camera = view or Camera.facing(points, look(), size, least=spacing)
     image = _painted(points, spacing, colors, faces, camera, size, material, background, smooth)
     hidden = _shadow(ground, points, spacing, faces, camera, size) if ground else 0
     if background is None:
@@ -234,6 +244,12 @@ def picture(
     rgb, cover = image[..., :3], image[..., 3]
     behind = ((1 - cover) * (1 - hidden))[..., None]
     return _as_bytes(rgb + behind * np.array(background, np.float32))
+
+
+def _ground(points: npt.ArrayLike, spacing: float, up: Up) -> Ground:
+    """The ground below particles, as wide as one of them where they all lie in one place."""
+    ground = Ground.below(points, up)
+    return replace(ground, radius=max(ground.radius, spacing))
 
 
 def _shadow(
@@ -271,13 +287,13 @@ def thumbnail(
         colors: Their colours, sRGB, shape [n, 3], uint8, if they have any.
         up: The axis that points upwards in the picture.
     """
-    ground = Ground.below(positions, up)
+    ground = _ground(positions, spacing, up)
     shown = np.concatenate([positions, ground.under(positions)])
     image = picture(
         positions,
         spacing=spacing,
         colors=None if colors is None else colors / 255,
-        view=Camera.facing(shown, look(up=up), THUMBNAIL),
+        view=Camera.facing(shown, look(up=up), THUMBNAIL, least=spacing),
         size=THUMBNAIL,
         background=None,
         material=THUMBNAIL_LOOK,
@@ -442,11 +458,12 @@ def _pictures(
     shown = np.concatenate([*ends, *run.via_points, run.target_points])
     if playback:
         shown = np.concatenate([shown, run.source_points])
-    ground = Ground.below(shown, up) if options.material else None
+    spacing = run.config.spacing
+    ground = _ground(shown, spacing, up) if options.material else None
     if ground:  # room for the shadow of a surface, which reaches farther down than its particles
         lowest = replace(ground, level=ground.level - run.spacing_of(ends[-1]))
         shown = np.concatenate([shown, lowest.under(shown)])
-    eye = _first_eye(shown, options.camera, options.size, up)
+    eye = _first_eye(shown, spacing, options.camera, options.size, up)
     background = background_color(options.background)
     (name,) = selection.fields or (None,)
     diverging = name is not None and FIELDS[name].diverging
@@ -485,14 +502,16 @@ def _pictures(
         )
 
 
-def _first_eye(shown: npt.NDArray[np.floating], path: CameraPath, size: Size, up: Up) -> Camera:
+def _first_eye(
+    shown: npt.NDArray[np.floating], spacing: float, path: CameraPath, size: Size, up: Up
+) -> Camera:
     """A camera that has everything in the picture, wherever its path leads it."""
     if path == STILL:
-        eye = Camera.facing(shown, look(up=up), size)
+        eye = Camera.facing(shown, look(up=up), size, least=spacing)
     elif path == TURN:
-        eye = Camera.around(shown, look(up=up), size)
+        eye = Camera.around(shown, look(up=up), size, least=spacing)
     else:
-        eye = Camera.anywhere(shown, look(up=up))
+        eye = Camera.anywhere(shown, look(up=up), least=spacing)
     return replace(eye, up=up)
 
 
@@ -534,7 +553,7 @@ def _painted(
         finite = np.isfinite(points).all(axis=1)
         radius = max(PARTICLE_RADIUS_OVER_H * spacing * scale, 1.0)
         canvas.spheres(camera.seen(points[finite], fine), radius, rgb[finite])
-        if smooth:
+        if smooth and radius <= LARGE:  # beyond, the mean would be flat
             canvas.smooth(round(SMOOTH_OVER_RADIUS * radius), SMOOTH_OVER_RADIUS * radius)
     else:
         normals = (vertex_normals(points, faces) @ camera.rotation.T).astype(np.float32)

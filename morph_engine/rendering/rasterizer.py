@@ -26,6 +26,10 @@ PIXELS_AT_ONCE = 1 << 19
 FLIP = np.array([1, -1, 1], np.float32)
 """Rows grow downwards."""
 
+LARGE = 64.0
+"""Spheres of a greater radius are drawn one after the other [pixels]; of those whose centres look
+closer together than 1/64 of it, only the nearest."""
+
 HALF = np.float32(0.5)
 LEAST_AREA = 1e-9
 
@@ -70,6 +74,9 @@ class Canvas:
         """
         in_sight = self._in_sight(centres, radius)
         centres, colors = centres[in_sight], colors[in_sight]
+        if radius > LARGE:
+            nearest = _nearest_of_each_place(centres, radius / LARGE)
+            centres, colors = centres[nearest], colors[nearest]
         nearest_last = np.argsort(centres[:, 2])  # the last to be drawn on a pixel stays
         colors = colors[nearest_last]
         column, row, z = (centres[nearest_last] * FLIP + self._middle).T
@@ -78,7 +85,19 @@ class Canvas:
         reach = int(np.ceil(radius))
         window = range(-reach, reach + 1)
 
-        def fragments() -> Iterator[Fragments]:
+        def by_sphere() -> Iterator[Fragments]:
+            for index, corner in enumerate(zip(left.tolist(), top.tolist(), strict=True)):
+                x, y = (
+                    np.arange(max(0, middle - reach), min(edge, middle + reach + 1))
+                    for middle, edge in zip(corner, (self._width, self._height), strict=True)
+                )
+                aside, below = x + HALF - column[index], y + HALF - row[index]
+                bulge = np.float32(radius**2) - aside**2 - below[:, None] ** 2
+                down, across = np.nonzero(bulge > 0)
+                pixel = y[down] * self._width + x[across]
+                yield pixel, z[index] + np.sqrt(bulge[down, across]), np.full(len(pixel), index)
+
+        def by_offset() -> Iterator[Fragments]:
             # from the middle outwards, so that most of what is hidden is soon known to be
             for dx, dy in sorted(product(window, window), key=lambda d: d[0] ** 2 + d[1] ** 2):
                 bulge = radius**2 - (aside + dx) ** 2 - (below + dy) ** 2
@@ -92,7 +111,7 @@ class Canvas:
                 pixel = (top[shown] + dy) * self._width + left[shown] + dx
                 yield pixel, z[shown] + np.sqrt(bulge[shown]), shown
 
-        pixel, owner = self._nearest(fragments())
+        pixel, owner = self._nearest(by_sphere() if radius > LARGE else by_offset())
         x, y = pixel % self._width + HALF - column[owner], row[owner] - pixel // self._width - HALF
         rise = np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0))
         self._normal[pixel] = np.column_stack([x, y, rise]) / radius
@@ -274,6 +293,7 @@ class Canvas:
 
     def _openness(self, scale: float) -> Floats:
         """Over 1 where a pixel stands out from those around it, below 1 in a hollow."""
+        scale = min(scale, HOLLOW_PIXELS * max(self._width, self._height))
         coarse = max(1, int(scale / HOLLOW_PIXELS))
         depth = self._depth.reshape(self._height, self._width)
         sparse = depth[::coarse, ::coarse]
@@ -288,6 +308,14 @@ class Canvas:
         apart = (height - around[: self._height, : self._width]) / np.float32(scale)
         openness: Floats = np.clip(1 + 0.35 * apart, 0.45, 1.25).astype(np.float32)
         return openness
+
+
+def _nearest_of_each_place(centres: Floats, edge: float) -> npt.NDArray[np.intp]:
+    """Indices of the points that are nearest in their square of this edge [pixels], shape [k]."""
+    nearest_first = np.argsort(-centres[:, 2], kind="stable")
+    place = np.floor(centres[nearest_first, :2] / edge).astype(np.int64)
+    _, first = np.unique(place, axis=0, return_index=True)
+    return nearest_first[first]
 
 
 def _mean_along(depth: Floats, values: Floats, along: int, reach: int, apart: float) -> Floats:

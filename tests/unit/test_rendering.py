@@ -136,6 +136,36 @@ def test_thumbnail_is_a_small_transparent_picture(lattice_ball):
     assert not image[[0, 0, -1, -1], [0, -1, 0, -1], 3].any()
 
 
+@pytest.mark.parametrize(
+    "points",
+    [np.zeros((1, 3)), np.full((500, 3), 7.0), [[0, 0, 0], [0.001, 0, 0]]],
+    ids=["one", "equal", "close"],
+)
+@pytest.mark.parametrize("spacing", [1.0, 1e-3])
+def test_what_has_collapsed_is_shown_as_a_sphere(points, spacing):
+    """Particles in one place are a sphere of a particle's size, in the middle of the picture."""
+    points = np.asarray(points) * spacing
+    seen = ink(picture(points, spacing=spacing, size=(240, 180)))
+    radius = 0.55 * 180 / (2 * 1.06)
+    assert seen.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
+    assert seen[90, 120]
+    cover = np.asarray(Image.open(io.BytesIO(thumbnail(points, spacing))))[..., 3]
+    assert (cover == 255).sum() > 0.9 * np.pi * radius**2
+    assert cover[90, 120] == 255
+
+
+def test_large_spheres_are_drawn_as_small_ones_are(lattice_ball):
+    """Some particles look the same however large they are in pixels."""
+    points = lattice_ball(1.2, 0.8)
+    colors = np.random.default_rng(1).random(points.shape)
+    small, large = (
+        picture(points, spacing=0.8, colors=colors, size=(edge, edge), background=None)
+        for edge in (120, 480)
+    )
+    coarse = large.reshape(120, 4, 120, 4, 4).mean(axis=(1, 3))
+    assert np.abs(coarse - small).mean() < 3
+
+
 @pytest.mark.parametrize("up", ["y", "z"])
 def test_light_comes_from_above_however_steep_the_view(lattice_ball, up):
     """Between two views that hardly differ, nothing changes at once."""
