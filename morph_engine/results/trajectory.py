@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import json
+import operator
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cached_property
@@ -258,11 +259,12 @@ class Trajectory:
         """Positions of one frame [dx], shape [n, 3], float32, in the original particle order.
 
         Raises:
-            ResultError: There is no such frame, or its checksum fails; others may still be read.
+            ResultError: There is no such frame, the file has been closed, or the frame's checksum
+                fails; others may still be read.
         """
         index = self.index(frame)
         start = index * self.particle_count
-        with _reading(self.path, f"frame {index} of "):
+        with self._reading(f"frame {index} of "):
             positions: NDArray[np.float32] = self._points[start : start + self.particle_count]
             return positions
 
@@ -287,7 +289,7 @@ class Trajectory:
         """
         index = self.index(frame)
         start = index * self.particle_count
-        with _reading(self.path, f"det F of frame {index} of "):
+        with self._reading(f"det F of frame {index} of "):
             stored = self._file.get("VTKHDF/PointData/det_f")
             if stored is None:
                 return None
@@ -297,7 +299,7 @@ class Trajectory:
     @cached_property
     def times(self) -> NDArray[np.float64]:
         """Time of each frame as VTK shows it: its index, shape [T], float64."""
-        with _reading(self.path):
+        with self._reading():
             times: NDArray[np.float64] = self._file["VTKHDF/Steps/Values"][:]
             return times
 
@@ -308,7 +310,7 @@ class Trajectory:
         Raises:
             ResultError: A checksum fails.
         """
-        with _reading(self.path):
+        with self._reading():
             return {name: field[:] for name, field in self._file["VTKHDF/FieldData"].items()}
 
     def metrics_at(self, frame: int) -> dict[str, float]:
@@ -328,7 +330,7 @@ class Trajectory:
         Raises:
             ResultError: The checksum fails.
         """
-        with _reading(self.path):
+        with self._reading():
             events: list[Json] = _json(self._file["morph/events"])
             return events
 
@@ -339,7 +341,7 @@ class Trajectory:
         Raises:
             ResultError: A checksum fails.
         """
-        with _reading(self.path):
+        with self._reading():
             morph = self._file["morph"]
             document = {name: _json(value) for name, value in morph["run"].items()}
             arrays = {name: array[:] for name, array in morph["arrays"].items()}
@@ -355,7 +357,7 @@ class Trajectory:
         Raises:
             ResultError: The checksum fails.
         """
-        with _reading(self.path):
+        with self._reading():
             stored = self._file.get("morph/colors")
             if stored is None:
                 return None
@@ -394,7 +396,7 @@ class Trajectory:
         Raises:
             ResultError: The checksum fails.
         """
-        with _reading(self.path):
+        with self._reading():
             stored = self._file.get("morph/legs")
             if stored is None:
                 return np.zeros(self.frame_count, np.int64)
@@ -478,14 +480,35 @@ class Trajectory:
         """Index from 0 of a frame, negative ones counted from the end.
 
         Raises:
-            ResultError: There is no such frame.
+            ResultError: There is no such frame, or it is no integer.
         """
-        if not -self.frame_count <= frame < self.frame_count:
+        try:
+            index = operator.index(frame)
+        except TypeError:
             raise ResultError(
-                f"{self.path} has no frame {frame}.",
+                f"{frame!r} is not the index of a frame.",
+                "Give an integer: 0 is the first frame, -1 the last.",
+            ) from None
+        if not -self.frame_count <= index < self.frame_count:
+            raise ResultError(
+                f"{self.path} has no frame {index}.",
                 f"Its {self.frame_count} frames are numbered from 0.",
             )
-        return frame % self.frame_count
+        return index % self.frame_count
+
+    @contextmanager
+    def _reading(self, part: str = "") -> Iterator[None]:
+        """Say why something cannot be read of the file.
+
+        Raises:
+            ResultError: It is closed, or damaged.
+        """
+        if not self._file:
+            raise ResultError(
+                f"{self.path} has been closed.", "Open it again, or read what you need before."
+            )
+        with _reading(self.path, part):
+            yield
 
 
 def opened(result: Path | str | Trajectory) -> AbstractContextManager[Trajectory]:

@@ -10,7 +10,7 @@ from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from morph_engine.config import MorphConfig
-from morph_engine.errors import ResultError
+from morph_engine.errors import DamagedError, ResultError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.placement import Placement
 from morph_engine.geometry.sampling import Similarity
@@ -211,6 +211,34 @@ def test_frame_out_of_range(result):
     """Asking for a frame that is not there says how many there are."""
     with Trajectory(result) as trajectory, pytest.raises(ResultError, match="4 frames"):
         trajectory.positions(T)
+
+
+@pytest.mark.parametrize("frame", [1.0, "1", None, slice(2)])
+@pytest.mark.parametrize(
+    "read", ["positions", "positions_in_user_units", "det_f", "metrics_at", "leg_of", "index"]
+)
+def test_a_frame_that_is_no_integer_is_not_called_damage(result, read, frame):
+    """The caller is told that the index is wrong, not that the file is."""
+    with Trajectory(result) as trajectory:
+        with pytest.raises(ResultError, match="is not the index of a frame") as info:
+            getattr(trajectory, read)(frame)
+        assert not isinstance(info.value, DamagedError)
+        np.testing.assert_array_equal(trajectory.positions(np.int64(1)), POSITIONS[1])
+
+
+def test_a_closed_result_is_not_called_damaged(result):
+    """After closing, all that reads the file says that it is closed; what was read stays."""
+    trajectory = Trajectory(result)
+    times = trajectory.times
+    trajectory.close()
+    for read in (
+        lambda: trajectory.positions(0), lambda: trajectory.det_f(0), lambda: list(trajectory),
+        lambda: trajectory.metrics, lambda: trajectory.run, lambda: trajectory.events,
+    ):  # fmt: skip
+        with pytest.raises(ResultError, match="has been closed") as info:
+            read()
+        assert not isinstance(info.value, DamagedError)
+    assert trajectory.times is times
 
 
 def test_same_run_gives_the_same_bytes(result, tmp_path):
