@@ -32,7 +32,7 @@ from morph_engine.errors import (
     ResultError,
     SimulationError,
 )
-from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.mesh import Mesh, checked_mesh, shape_of_trimesh
 from morph_engine.geometry.placement import placed
 from morph_engine.geometry.point_cloud import lengths
 from morph_engine.geometry.sampling import (
@@ -606,10 +606,20 @@ class EarlyStopping:
         self._best, self._waited = state["best"], state["waited"]
 
 
-def _resolve(shape: ShapeLike) -> Shape:
+def _resolve(shape: Any) -> Shape:
     if isinstance(shape, (str, Path)):
         return resolve_shape(str(shape))
-    return shape
+    if isinstance(shape, Mesh):
+        return checked_mesh(shape)
+    if not isinstance(shape, list | tuple) and not hasattr(shape, "__array__"):
+        return shape_of_trimesh(shape)
+    try:
+        points = np.asarray(shape)
+        return points if points.dtype.kind in "biuf" else np.array(points.tolist(), np.float64)
+    except (TypeError, ValueError):
+        raise MeshError(
+            "A point cloud is no array of numbers.", "Give one row of x, y, z per point."
+        ) from None
 
 
 def _points(shape: Shape, to_grid: Similarity, config: MorphConfig) -> NDArray[np.float32]:

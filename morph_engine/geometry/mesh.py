@@ -101,23 +101,10 @@ def make_mesh(
     """
     points = np.asarray(vertices, np.float64).reshape(-1, 3)
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
-    if not len(corners):
-        raise MeshError(f"{name} has no faces.", "Export it as a triangle mesh.")
-    if corners.min() < 0 or corners.max() >= len(points):
-        raise _index_error(name)
+    _check_indices(points, corners, name)
     used, corners = np.unique(corners, return_inverse=True)
     points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
-    broken = np.count_nonzero(~np.isfinite(points).all(axis=1))
-    if broken:
-        raise MeshError(
-            f"{broken} of the {len(points)} vertices of {name} are not finite numbers.",
-            "Export the mesh again, or delete these vertices.",
-        )
-    if np.abs(points).max() > COORDINATE_LIMIT:
-        raise MeshError(
-            f"{name} has coordinates beyond {COORDINATE_LIMIT:.0e}.",
-            "Move it to the origin and scale it down.",
-        )
+    _check_coordinates(points, name)
     distinct = _distinct(points, triangles)
     if len(distinct) < len(triangles):
         repairs += (f"{len(triangles) - len(distinct)} duplicate faces have been removed.",)
@@ -142,6 +129,105 @@ def make_mesh(
         repairs += ("The surface was inside out and has been flipped.",)
     digest = sha256 or _digest(points, triangles, colors)
     return Mesh(points, triangles, name, digest, repairs, colors=colors)
+
+
+def checked_mesh(mesh: Mesh) -> Mesh:
+    """A mesh that somebody has built, with arrays of the types that it is to have.
+
+    Unlike `make_mesh`, it repairs nothing.
+
+    Raises:
+        MeshError: Its arrays have other shapes, there are no faces, an index is out of range or no
+            integer, or a coordinate is not finite or beyond 1e9.
+    """
+    points, faces = (_numbers(array, mesh.name) for array in (mesh.vertices, mesh.faces))
+    if any(array.ndim != 2 or array.shape[1] != 3 for array in (points, faces) if array.size):
+        raise MeshError(
+            f"The vertices of {mesh.name} have shape {list(points.shape)}, and its faces "
+            f"{list(faces.shape)}.",
+            "Give vertices of shape [v, 3], and triangles of shape [f, 3].",
+        )
+    if (faces != np.trunc(faces)).any():
+        raise MeshError(
+            f"Faces of {mesh.name} are not integers.",
+            "Give the indices of the vertices of each triangle.",
+        )
+    _check_indices(points, faces, mesh.name)
+    _check_coordinates(points, mesh.name)
+    return replace(
+        mesh,
+        vertices=np.asarray(points, np.float64),
+        faces=np.asarray(faces, np.int32),
+    )
+
+
+def shape_of_trimesh(model: Any) -> Mesh | npt.NDArray[np.float64]:
+    """The shape of an object of trimesh.
+
+    Args:
+        model: A `Trimesh`; a `Scene`, which becomes one mesh; or a `PointCloud`.
+
+    Returns:
+        A mesh, or the points, shape [n, 3], float64.
+
+    Raises:
+        MeshError: As by `make_mesh`, or it is none of them.
+    """
+    if isinstance(model, trimesh.PointCloud):
+        return np.array(model.vertices, np.float64)
+    if not isinstance(model, trimesh.Trimesh | trimesh.Scene):
+        raise MeshError(
+            f"An object of type {type(model).__name__} is no shape.",
+            "Give a mesh, points of shape [n, 3], a file, or the name of a built-in shape.",
+        )
+    name = str(model.metadata.get("file_name") or "mesh")
+    scene = trimesh.Scene(model.copy()) if _is_mesh(model) else model.copy()
+    if not any(_is_mesh(one) and len(one.faces) for one in scene.geometry.values()):
+        raise _no_faces(name)
+    materials = (getattr(one.visual, "material", None) for one in scene.geometry.values())
+    is_gltf = any(hasattr(material, "baseColorFactor") for material in materials)
+    vertices, faces, colors, left_out = _merged(scene, "glb" if is_gltf else "obj")
+    mesh = make_mesh(vertices, faces, name=name, colors=colors, repairs=left_out)
+    return replace(mesh, up=guess_up(mesh.vertices, mesh.faces, ""))
+
+
+def _numbers(array: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+    """An array of numbers.
+
+    Raises:
+        MeshError: It is none.
+    """
+    try:
+        found = np.asarray(array)
+        return found if found.dtype.kind in "iuf" else np.array(found.tolist(), np.float64)
+    except (TypeError, ValueError):
+        raise MeshError(
+            f"Vertices or faces of {name} are not arrays of numbers.",
+            "Give vertices of shape [v, 3], and triangles of shape [f, 3].",
+        ) from None
+
+
+def _check_indices(points: npt.NDArray[Any], faces: npt.NDArray[Any], name: str) -> None:
+    """Refuse a mesh without faces, or of faces without vertices."""
+    if not len(faces):
+        raise _no_faces(name)
+    if faces.min() < 0 or faces.max() >= len(points):
+        raise _index_error(name)
+
+
+def _check_coordinates(points: npt.NDArray[Any], name: str) -> None:
+    """Refuse a mesh with vertices that are nowhere, or too far away."""
+    broken = np.count_nonzero(~np.isfinite(points).all(axis=1))
+    if broken:
+        raise MeshError(
+            f"{broken} of the {len(points)} vertices of {name} are not finite numbers.",
+            "Export the mesh again, or delete these vertices.",
+        )
+    if np.abs(points).max() > COORDINATE_LIMIT:
+        raise MeshError(
+            f"{name} has coordinates beyond {COORDINATE_LIMIT:.0e}.",
+            "Move it to the origin and scale it down.",
+        )
 
 
 def _turned(
@@ -284,13 +370,20 @@ def _parse(
         splats = _splats(scene)
         if splats is not None:
             return *solid_of_splats(splats), (SPLATS_FILLED,)
-        visuals = {name: one.visual for name, one in scene.geometry.items() if _is_mesh(one)}
-        for name in visuals:  # else they are copied, and merged into large pictures
-            scene.geometry[name].visual = trimesh.visual.ColorVisuals()
-        placed = [one for one in scene.dump() if _is_mesh(one)]
-        mesh = trimesh.util.concatenate(placed)
-        parts = [Part(visuals[p.metadata["name"]], p.faces, len(p.vertices)) for p in placed]
-        colors, left_out = read_colors(parts, kind)
+        return _merged(scene, kind)
+
+
+def _merged(
+    scene: Any, kind: str
+) -> tuple[npt.ArrayLike, npt.ArrayLike, MeshColors | None, tuple[str, ...]]:
+    """Vertices, faces and colours of a scene, which loses its own; what is left out."""
+    visuals = {name: one.visual for name, one in scene.geometry.items() if _is_mesh(one)}
+    for name in visuals:  # else they are copied, and merged into large pictures
+        scene.geometry[name].visual = trimesh.visual.ColorVisuals()
+    placed = [one for one in scene.dump() if _is_mesh(one)]
+    mesh = trimesh.util.concatenate(placed)
+    parts = [Part(visuals[p.metadata["name"]], p.faces, len(p.vertices)) for p in placed]
+    colors, left_out = read_colors(parts, kind)
     return mesh.vertices, mesh.faces, colors, left_out
 
 
@@ -354,6 +447,10 @@ def _check_gltf(data: bytes, kind: str) -> None:
     shown = sum(weights[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node)
     if not (max(viewed, counted) <= 4 * len(data) and shown + sum(weights) <= INSTANCE_LIMIT):
         raise MeshError("The glTF file declares more data than it holds.", "Export the mesh again.")
+
+
+def _no_faces(name: str) -> MeshError:
+    return MeshError(f"{name} has no faces.", "Export it as a triangle mesh.")
 
 
 def _index_error(name: str) -> MeshError:
