@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from morph_engine.geometry.sampling import Fit
 
 DEFAULT = "fast"
+_EXAMPLE = 'Give a preset first and settings second, as in configure("fast", {"frames": 20}).'
 
 
 class Preset(NamedTuple):
@@ -72,11 +73,16 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
             preset the others replace.
 
     Raises:
-        ConfigError: Unknown preset, method or setting, a preset of another method, or a value out
-            of range.
+        ConfigError: Unknown preset, method or setting, a preset of another method, a value out of
+            range, or settings that are no mapping.
     """
     found = _find(preset)
-    settings = dict(overrides or {})
+    settings = {} if overrides is None else overrides
+    if not isinstance(settings, Mapping):
+        raise ConfigError(
+            f"Settings are a mapping, not of type {type(settings).__name__}.", _EXAMPLE
+        )
+    settings = dict(settings)
     method = str(settings.pop("method", found.method))
     if found.only and method != found.method:
         raise ConfigError(
@@ -95,6 +101,10 @@ def configure(preset: str = DEFAULT, overrides: Mapping[str, Any] | None = None)
 
 
 def _find(name: str) -> Preset:
+    if not isinstance(name, str):
+        raise ConfigError(
+            f"The name of a preset is a string, not of type {type(name).__name__}.", _EXAMPLE
+        )
     if name not in _PRESETS:
         raise unknown_name("preset", name, _PRESETS)
     return _PRESETS[name]

@@ -6,6 +6,7 @@ options include those that the method reads.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, model_validator
@@ -14,8 +15,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Coordinate = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Coordinate, Coordinate, Coordinate]
+Vector = tuple[float, float, float]
 
 Kernel = Literal["cubic", "quadratic"]
 
@@ -23,8 +23,8 @@ MOST_CELLS = 250
 """Cells per axis; with more, a node's number would not fit in its integer type."""
 
 
-class Section(BaseModel, frozen=True, extra="forbid", validate_default=True):
-    """A part of the configuration."""
+class Section(BaseModel, frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False):
+    """A part of the configuration, all of whose numbers are finite."""
 
 
 class GridConfig(Section):
@@ -39,9 +39,19 @@ class GridConfig(Section):
     @model_validator(mode="after")
     def _whole_cells(self) -> GridConfig:
         cells = 2 * self.half_extent / self.dx
-        if abs(cells - round(cells)) > 1e-6 or not 4 <= round(cells) <= MOST_CELLS:
+        is_whole = math.isfinite(cells) and abs(cells - round(cells)) <= 1e-6
+        if not is_whole or not 4 <= round(cells) <= MOST_CELLS:
             raise ValueError(
                 f"2 grid.half_extent / grid.dx must be 4 to {MOST_CELLS} whole cells per axis"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _room_within_margin(self) -> GridConfig:
+        if self.margin * self.dx >= self.half_extent:
+            raise ValueError(
+                f"grid.margin = {self.margin:g} leaves no room for particles in a domain that ends "
+                f"{self.half_extent / self.dx:g} dx from its centre"
             )
         return self
 

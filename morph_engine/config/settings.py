@@ -51,7 +51,9 @@ def option_fields(method: str) -> dict[str, FieldInfo]:
 
 
 def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
-    """Replace settings named by dotted path; values may be text, as typed on a command line.
+    """Replace settings named by dotted path.
+
+    Values may be text, as typed on a command line, and numbers and arrays of NumPy.
 
     Paths of version 0.1.0 are understood, too.
 
@@ -61,10 +63,11 @@ def override(config: MorphConfig, values: Mapping[str, Any]) -> MorphConfig:
     """
     tree = config.model_dump()
     fields = setting_fields(config.method.name)
-    for path, value in values.items():
-        location = _location(path, config.method.name)
+    for path, given in values.items():
+        value = _without_arrays(given)
+        location = _location(path, config.method.name) if isinstance(path, str) else None
         if location is None:
-            raise _unknown(path, config.method.name)
+            raise _unknown(str(path), config.method.name)
         *sections, leaf = location.split(".")
         node = tree
         for section in sections:
@@ -176,7 +179,18 @@ def _parsed(value: Any) -> Any:
     return text
 
 
+def _without_arrays(value: Any) -> Any:
+    """A value with plain numbers and lists in place of NumPy's, also in what it contains."""
+    if isinstance(value, Mapping):
+        return {name: _without_arrays(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(map(_without_arrays, value))
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
 def _remedy(error: Any) -> str:
+    if "grid.margin" in error["msg"]:
+        return "Lower grid.margin, or raise grid.half_extent."
     if "time.dt" in error["msg"]:
         return "Lower time.dt, soften the material, or coarsen the grid."
     if "expected" in error.get("ctx", {}):

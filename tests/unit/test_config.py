@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
 from morph_engine import methods, presets
@@ -36,9 +37,44 @@ def test_overrides_reach_their_field() -> None:
     assert one.method.smoothing.values == (0.9,)
 
 
+def test_settings_may_be_numpy_values() -> None:
+    """Arrays and numbers of NumPy are what lists and plain numbers are, also inside others."""
+    landmark = {"source": np.zeros(3), "target": np.array([1, 2, 3])}
+    config = configure(
+        "fast",
+        {
+            "placement.source.move": np.array([1.0, 2, 3]),
+            "placement.target.move": [np.float32(0.5), np.int64(1), 2],
+            "frames": np.int64(7),
+            "grid.margin": np.float32(0.5),
+            "landmarks": [landmark],
+        },
+    )
+    assert config.placement.source.move == (1, 2, 3)
+    assert config.placement.target.move == (0.5, 1, 2)
+    assert (config.frames, config.grid.margin) == (7, 0.5)
+    assert config.method.landmarks[0].target == (1, 2, 3)
+
+
+@pytest.mark.parametrize("arguments", [(None,), ({"frames": 2},), ("fast", 5), ("fast", "frames")])
+def test_arguments_of_configure_that_are_none_get_an_example(arguments: Any) -> None:
+    """What stands in place of a preset or of the settings is named."""
+    with pytest.raises(ConfigError, match=r"of type .*configure\(\"fast\", {\"frames\": 20}\)"):
+        configure(*arguments)
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
+        ({"grid.half_extent": float("inf")}, "grid.half_extent = inf: input should be a finite"),
+        ({"grid.half_extent": 1e308, "grid.dx": 1e-308}, "whole cells"),
+        ({"placement.source.scale": float("inf")}, "placement.source.scale = inf"),
+        ({"f1_tau": float("nan")}, "f1_tau = nan"),
+        ({"depth": float("inf")}, "depth = inf"),
+        ({"grid.margin": 16}, "grid.margin = 16 leaves no room"),
+        ({"grid.margin": 100}, "Lower grid.margin, or raise grid.half_extent"),
+        ({"placement.source.move": np.zeros(2)}, "placement.source.move"),
+        ({7: 3}, "no setting called '7'"),
         ({"chamfer.wieght": 3}, "chamfer.weight"),
         ({"weight": 3}, "chamfer.weight"),
         ({"frames": 0}, "greater than or equal to 1"),
