@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,8 @@ from pydantic import BaseModel, Field
 
 from morph_engine.cost import Estimate, estimate
 from morph_engine.errors import MeshError
-from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.automatic_fit import LARGEST_FACTOR, fit_alone, reach_in
+from morph_engine.geometry.mesh import TEXT_PREFIX, Mesh
 from morph_engine.geometry.placement import place, placed
 from morph_engine.geometry.point_cloud import outer_radius
 from morph_engine.geometry.sampling import (
@@ -25,8 +27,17 @@ from morph_engine.geometry.topology import Opening, Topology, Vector
 from morph_engine.geometry.upward import Up
 from morph_engine.geometry.winding_number import winding_number
 from morph_engine.presets import configure
+from morph_engine.sections import MOST_CELLS
 
 POINTS_PER_CELL_EDGE = (2, 3, 4)
+
+LEAST_VOLUME = MINIMUM_PARTICLES / POINTS_PER_CELL_EDGE[-1] ** 3
+"""Of a mesh that has room for enough particles [grid units^3]."""
+
+SLACK = 1.05
+"""A mesh is scaled by so much more, since a lattice has seldom as many points as volume."""
+
+VOLUME_REMEDY = "To have it scaled and centred, set `sampling.fit` to volume."
 
 AMBIGUOUS_LIMIT = 0.05
 """Largest share of ambiguous points in a mesh that bounds a volume; the Stanford bunny has .007."""
@@ -179,11 +190,11 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float, own: Mesh) -> Mes
             f"domain, which ends at {half_extent:g} grid units from its centre.",
             size_remedy(mesh.name),
         )
-    if mesh.volume * POINTS_PER_CELL_EDGE[-1] ** 3 < MINIMUM_PARTICLES:
+    if mesh.volume < LEAST_VOLUME:
         return MeshError(
             f"{mesh.name} has a volume of only {mesh.volume:.2g} cubic grid units, room for fewer "
             f"than {MINIMUM_PARTICLES} particles.",
-            f"Thicken thin parts. {size_remedy(mesh.name)}",
+            _room_remedy(mesh, half_extent),
         )
     if ambiguous > AMBIGUOUS_LIMIT:
         return MeshError(
@@ -193,6 +204,30 @@ def _problem(mesh: Mesh, ambiguous: float, half_extent: float, own: Mesh) -> Mes
             "instance with Fill Holes and Recalculate Outside in Blender.",
         )
     return None
+
+
+def _room_remedy(mesh: Mesh, half_extent: float) -> str:
+    """How a mesh gets room for particles.
+
+    A fit keeps meshes in the domain, where those that are long and thin may still be too small.
+    """
+    volume, reach = mesh.volume, float(np.abs(mesh.bounds).max())
+    if volume <= 0 or mesh.name.startswith(TEXT_PREFIX):
+        return f"Thicken thin parts. {size_remedy(mesh.name)}"
+    fit = fit_alone(Solid.of(mesh), "volume", reach_in(half_extent))
+    if volume * fit.scale**3 >= LEAST_VOLUME:
+        helps = size_remedy(mesh.name) if fit.scale > LARGEST_FACTOR else VOLUME_REMEDY
+        return f"Thicken thin parts. {helps}"
+    factor = math.ceil(10 * float(np.cbrt(LEAST_VOLUME / volume)) * SLACK) / 10
+    extent = math.ceil(factor * reach)
+    if extent > MOST_CELLS / 2:
+        return "Thicken thin parts."
+    wider = f"`grid.half_extent` to {extent} and " if extent > half_extent else ""
+    return (
+        f"Thicken thin parts; or make `placement.source.scale` or `placement.target.scale`, "
+        f"whichever is its own, {factor:g} times as large, and set {wider}"
+        f"`sampling.points_per_cell_edge` to {POINTS_PER_CELL_EDGE[-1]}."
+    )
 
 
 def _fits(mesh: Mesh, half_extent: float) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from morph_engine.ingest import (
     fitted,
     inspect_mesh,
 )
+from morph_engine.morphing import prepare
+from morph_engine.presets import configure
 
 MESHES = Path(os.environ.get("MORPH_MESHES", Path(__file__).parents[3] / "shared" / "meshes"))
 needs_meshes = pytest.mark.skipif(
@@ -162,6 +165,43 @@ def test_too_small_for_500_particles():
     with pytest.raises(MeshError, match="fewer than 500 particles") as caught:
         check_mesh(make_mesh(BOX.vertices / 8, BOX.faces, name="cube"))
     assert "`sampling.fit`" in caught.value.remedy
+
+
+@pytest.mark.parametrize("thickness", [0.3, 0.1])
+@pytest.mark.parametrize("fit", ["auto", "volume", "none"])
+def test_the_remedy_for_a_needle_works(thickness, fit):
+    """What no fit enlarges enough is told how much larger it must be, and in which domain."""
+    needle = trimesh.creation.box((20, thickness, thickness))
+    mesh = make_mesh(needle.vertices, needle.faces, name="needle")
+    with pytest.raises(MeshError, match="fewer than 500 particles") as caught:
+        prepare(mesh, "star", configure("fast", {"sampling.fit": fit}))
+    remedy = caught.value.remedy
+    assert "sampling.fit" not in remedy
+    factor, extent, points = (
+        float(re.search(pattern, remedy)[1])
+        for pattern in (
+            r"([\d.]+) times as large",
+            r"`grid\.half_extent` to (\d+)",
+            r"`sampling\.points_per_cell_edge` to (\d)",
+        )
+    )
+    settings = {
+        "sampling.fit": fit, "placement.source.scale": factor, "grid.half_extent": extent,
+        "sampling.points_per_cell_edge": int(points),
+    }  # fmt: skip
+    assert prepare(mesh, "star", configure("fast", settings)).particle_count >= 500
+
+
+def test_the_remedy_for_a_small_rod_is_the_fit_that_works():
+    """Where `auto` leaves a mesh as it is, only `volume` is proposed; and that works."""
+    rod = trimesh.creation.box((18, 0.6, 0.6))
+    mesh = make_mesh(rod.vertices, rod.faces, name="rod")
+    config = {"sampling.points_per_cell_edge": 4}
+    with pytest.raises(MeshError) as caught:
+        prepare(mesh, "star", configure("fast", config))
+    assert caught.value.remedy.endswith("set `sampling.fit` to volume.")
+    config["sampling.fit"] = "volume"
+    assert prepare(mesh, "star", configure("fast", config)).particle_count >= 500
 
 
 def test_estimate_grows_with_the_work():
