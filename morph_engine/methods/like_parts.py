@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from morph_engine import flow, geometry, kept_results
+from morph_engine import flow, geometry, kept_results, metrics
 from morph_engine.blas_threads import one_blas_thread
 from morph_engine.errors import ConfigError
 from morph_engine.methods.method import Problem
 from morph_engine.optimization.watchdog import Event
 from morph_engine.sections import Section, Vector
+
+if TYPE_CHECKING:
+    from morph_engine.geometry.mesh import Mesh
 
 LARGEST_MISMATCH = 1.0
 """Mismatch below which a source is taken to have been carried to its target."""
@@ -26,7 +29,11 @@ RETURN = 0.3
 """Share of its distance from where the warp wants it that a particle is to make in a frame."""
 
 LANDMARK_REACH = 1.0
-"""Landmarks lie at most so far from the matter of their shape, and lead what is so near [dx]."""
+"""Landmarks lie on the mesh of their shape or at most so far from its matter, and lead what is so
+near [dx]."""
+
+ON_SURFACE = 0.1
+"""What is so near to a mesh lies on it, in coordinates that were rounded [dx]."""
 
 
 class Landmark(Section):
@@ -43,7 +50,8 @@ class LikeParts:
     Args:
         problem: The two shapes.
         choice: Whether parts are carried; `auto`: where the target is met by that.
-        landmarks: Points that are met at the end; with any, parts are carried.
+        landmarks: Points that are met at the end; with any, parts are carried. One on the mesh
+            where no particle is near, as at a sharp tip, stands for the nearest particle.
 
     Attributes:
         warp: What carries them; None where nothing does.
@@ -123,10 +131,12 @@ class LikeParts:
         """Controls of the source and of the target."""
         problem, marks = self._problem, self._landmarks
         return [
-            self._controls(points, _placed([getattr(mark, end) for mark in marks], to_grid, points))
-            for end, points, to_grid in (
-                ("source", problem.source, problem.source_to_grid),
-                ("target", problem.target, problem.target_to_grid),
+            self._controls(
+                points, _placed([getattr(mark, end) for mark in marks], to_grid, points, mesh)
+            )
+            for end, points, to_grid, mesh in (
+                ("source", problem.source, problem.source_to_grid, problem.source_mesh),
+                ("target", problem.target, problem.target_to_grid, problem.target_mesh),
             )
         ]
 
@@ -166,25 +176,36 @@ def _arrays(found: flow.Controls | flow.Registration) -> kept_results.Arrays:
 
 
 def _placed(
-    marks: list[Vector], to_grid: NDArray[np.float64], points: NDArray[np.float32]
+    marks: list[Vector],
+    to_grid: NDArray[np.float64],
+    points: NDArray[np.float32],
+    mesh: Mesh | None,
 ) -> NDArray[np.float64]:
     """Landmarks in grid units, shape [k, 3].
+
+    One on or in the mesh that is farther than `LANDMARK_REACH` from all matter, as at a sharp tip,
+    is moved to the nearest particle.
 
     Raises:
         ConfigError: One is not at the shape.
     """
     placed = np.array(marks, np.float64).reshape(-1, 3) @ to_grid[:3, :3].T + to_grid[:3, 3]
-    for mark, place in zip(marks, placed, strict=True):
-        distance = float(np.linalg.norm(points - place, axis=1).min())
-        if distance > LANDMARK_REACH:
-            to_user = np.linalg.inv(to_grid)
-            own = points @ to_user[:3, :3].T + to_user[:3, 3]
-            lowest, highest = (
-                ", ".join(f"{x:.4g}" for x in corner) for corner in geometry.extent(own)
-            )
-            raise ConfigError(
-                f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
-                f"outside the shape, which reaches from ({lowest}) to ({highest}).",
-                "Give a point in the coordinates of the mesh, on its surface or inside.",
-            )
+    for index, (mark, place) in enumerate(zip(marks, placed, strict=True)):
+        distances = np.linalg.norm(points - place, axis=1)
+        distance = float(distances.min())
+        if distance <= LANDMARK_REACH:
+            continue
+        if mesh:
+            distance = metrics.outside_metrics(place[None], mesh)["outside_max"]
+        if mesh and distance <= ON_SURFACE:
+            placed[index] = points[distances.argmin()]
+            continue
+        to_user = np.linalg.inv(to_grid)
+        own = (mesh.vertices if mesh else points) @ to_user[:3, :3].T + to_user[:3, 3]
+        lowest, highest = (", ".join(f"{x:.4g}" for x in corner) for corner in geometry.extent(own))
+        raise ConfigError(
+            f"The landmark {', '.join(f'{x:g}' for x in mark)} lies {distance:.1f} grid units "
+            f"outside the shape, which reaches from ({lowest}) to ({highest}).",
+            "Give a point in the coordinates of the mesh, on its surface or inside.",
+        )
     return placed

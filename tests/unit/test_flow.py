@@ -39,7 +39,7 @@ from morph_engine.flow.carrier import CELL, Carrier
 from morph_engine.flow.cell_list import CellList
 from morph_engine.flow.limbs import in_turn
 from morph_engine.flow.settling import FILLING, LONGEST_MOVE, REACH, RELAXATION, UNEVEN
-from morph_engine.geometry.mesh import Mesh
+from morph_engine.geometry.mesh import Mesh, make_mesh
 from morph_engine.geometry.sampling import sample_lattice
 from morph_engine.geometry.shapes import make
 from morph_engine.geometry.signed_distance import cloud_distance, mesh_distance
@@ -644,6 +644,35 @@ def test_a_landmark_is_met_at_the_end() -> None:
 
     assert miss([]) > 3
     assert miss([pair]) < 1
+
+
+def test_a_landmark_at_a_sharp_tip_of_a_mesh_is_met() -> None:
+    """Vertices where no particle fits are landmarks, of source and target; the nearest one goes."""
+    tip = trimesh.creation.cone(3.0, 24.0, sections=32)
+    thorn = make_mesh(tip.vertices, tip.faces, name="thorn")
+    ends = {"source": [0.0, 0.0, 24.0], "target": [0.0, 0.0, 24.0]}
+    turned = {"placement.target.rotate": (90.0, 0.0, 0.0), "frames": 10}
+    config = configure(overrides=SMALL | turned | {"landmarks": [ends]})
+    run = prepare_run(thorn, thorn, config)
+    source, target = (
+        cKDTree(points).query(similarity.apply(np.array([[0.0, 0.0, 24.0]])))
+        for points, similarity in (
+            (run.source_points, run.placement.source), (run.target_points, run.placement.target),
+        )
+    )  # fmt: skip
+    assert source[0] > 1
+    last = list(morph(thorn, thorn, config))[-1].positions
+    assert np.linalg.norm(last[source[1]] - run.target_points[target[1]]) < 1
+
+
+def test_the_extent_of_a_shape_is_that_of_its_mesh() -> None:
+    """And not that of its particles, which end before its corners."""
+    tip = trimesh.creation.cone(5.0, 14.0, sections=32)
+    thorn = make_mesh(tip.vertices, tip.faces, name="thorn")
+    pair = {"source": (0.0, 0.0, 16.0), "target": (0.0, 0.0, 0.0)}
+    config = configure(overrides=SMALL | {"landmarks": [pair]})
+    with pytest.raises(ConfigError, match=r"lies 2\.[0-9] .*\(-5, -5, 0\) to \(5, 5, 14\)"):
+        next(iter(morph(thorn, "sphere", config)))
 
 
 def test_a_landmark_may_have_a_name() -> None:
