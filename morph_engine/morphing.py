@@ -13,10 +13,12 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Real
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 import psutil
 from numpy.typing import NDArray
 
@@ -58,10 +60,15 @@ from morph_engine.results.spool import Checkpoint, Spool, finished_frames
 from morph_engine.results.trajectory import write_result
 from morph_engine.spans import span
 
-ShapeLike = Mesh | NDArray[Any] | str | Path
-"""A mesh, a point cloud of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
+if TYPE_CHECKING:
+    import trimesh
 
-Targets = ShapeLike | Sequence[ShapeLike]
+ShapeLike: TypeAlias = (
+    "Mesh | npt.ArrayLike | str | Path | trimesh.Trimesh | trimesh.Scene | trimesh.PointCloud"
+)
+"""A mesh, points of shape [n, 3] in grid units, a file, or the name of a built-in shape."""
+
+Targets: TypeAlias = "ShapeLike | Sequence[ShapeLike]"
 """A target, or several in a list or tuple, which the morph goes through one after the other."""
 
 Stage = Literal["preparing", "computing"]
@@ -102,11 +109,18 @@ def prepare(source: ShapeLike, target: Targets, config: MorphConfig | None = Non
     Of several targets, each is filled at the spacing that the particles have in the shape before.
 
     Raises:
-        ConfigError: There is no target, or the method takes but one.
+        ConfigError: There is no target, the method takes but one, or the configuration is none.
         MeshError: A shape is unusable, does not fit the domain, or holds too few particles.
     """
-    config = config or configure()
-    targets: list[Any] = list(target) if isinstance(target, list | tuple) else [target]
+    config = configure() if config is None else config
+    if not isinstance(config, MorphConfig):
+        raise ConfigError(
+            f"The configuration is a {type(config).__name__}, not a MorphConfig.",
+            'Make it with configure(...), as in configure("fast", {"frames": 2}).',
+        )
+    targets: list[Any] = (
+        list(target) if isinstance(target, list | tuple) and not _is_cloud(target) else [target]
+    )
     if not targets:
         raise ConfigError("There is no target.", "Give one, or several in order.")
     if len(targets) > 1:
@@ -150,11 +164,13 @@ def morph(
     """Morph one shape into another, frame by frame, or through several.
 
     Args:
-        source: Where the particles come from.
+        source: Where the particles come from: a mesh, also one of trimesh, in any coordinates;
+            points of shape [n, 3] in grid units, as an array or nested lists; a file; or the name
+            of a built-in shape.
         target: What they are to become; of several targets in a list, one after the other. The path
             to each is a leg of `config.frames` frames, which begins with the particles as the last
-            one has ended.
-        config: All parameters; the default preset when not given.
+            one has ended. A list of rows of three numbers is one target.
+        config: All parameters, as `configure` makes them; the default preset when not given.
         device: Where to compute.
         threads: CPU threads, at most 1024; 0 takes every core. Several morphs at once in a process
             have the same device, threads and precision.
@@ -604,6 +620,16 @@ class EarlyStopping:
     def restore(self, state: dict[str, Any]) -> None:
         """Take up a state that `state` returned."""
         self._best, self._waited = state["best"], state["waited"]
+
+
+def _is_cloud(shapes: Sequence[Any]) -> bool:
+    """Whether a list holds the points of one shape, rather than several shapes."""
+    return bool(shapes) and all(
+        isinstance(row, list | tuple | np.ndarray)
+        and len(row)
+        and all(isinstance(x, Real) for x in row)
+        for row in shapes
+    )
 
 
 def _resolve(shape: Any) -> Shape:

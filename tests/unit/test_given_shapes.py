@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from morph_engine import Mesh, Trajectory, configure, morph
-from morph_engine.errors import MeshError
+from morph_engine.errors import ConfigError, MeshError
 from morph_engine.morphing import prepare
 
 CONFIG = configure("fast", {"sampling.points_per_cell_edge": 2})
@@ -95,3 +95,19 @@ def test_a_mesh_of_lists_gets_its_types() -> None:
     source = prepare(lists, "sphere", CONFIG).source
     assert isinstance(source, Mesh)
     assert (source.vertices.dtype, source.faces.dtype) == (np.float64, np.int32)
+
+
+@pytest.mark.parametrize("target", [CLOUD.tolist(), tuple(CLOUD), list(CLOUD)])
+def test_a_list_of_rows_is_one_target(target: Any) -> None:
+    """Rows of numbers are points of one target; clouds in a list are several."""
+    record = prepare("sphere", target, CONFIG)
+    assert record.leg_count == 1
+    np.testing.assert_array_equal(record.target_points, CLOUD.astype(np.float32))
+    assert prepare("sphere", [target, CLOUD.tolist()], CONFIG).leg_count == 2
+
+
+def test_settings_are_no_configuration() -> None:
+    """A mapping in its place is refused, with the call that makes one."""
+    settings: Any = {"frames": 2}
+    with pytest.raises(ConfigError, match=r"is a dict.*configure\(\.\.\.\)"):
+        next(morph("sphere", "star", settings))

@@ -279,7 +279,7 @@ LOOKS_JS = VIEWER_JS / "looks.js"
 @pytest.mark.parametrize("up", ["y", "z"])
 def test_the_page_looks_from_the_same_sides(up):
     """Front, right and top are those of its keys 1, 3 and 7; at first both look from one corner."""
-    text = (VIEWER_JS / "viewer.js").read_text()
+    text = (VIEWER_JS / "viewpoint.js").read_text()
     numbers = r"\[([-\d., ]+)\]"
 
     def page(pattern):
