@@ -108,6 +108,16 @@ def test_ambiguity_grows_with_the_opening():
     assert shares[0] < AMBIGUOUS_LIMIT < shares[-1]
 
 
+@pytest.mark.parametrize("side", [4.0, 5.0, 6.0, 7.0])
+def test_closed_parts_that_overlap_are_unambiguous(side):
+    """Also where many points of a lattice over the bounds would lie on the faces of one."""
+    parts = [trimesh.creation.icosphere(4, radius=4.0), trimesh.creation.box((side, side, side))]
+    both = trimesh.util.concatenate(parts)
+    mesh = make_mesh(both.vertices, both.faces, name="both")
+    assert ambiguous_winding(mesh) == 0
+    check_mesh(mesh)
+
+
 def test_single_sheet_is_refused():
     """A wavy sheet encloses nothing."""
     x, y = np.meshgrid(np.linspace(-8, 8, 30), np.linspace(-8, 8, 30), indexing="ij")
