@@ -6,6 +6,9 @@ do the targets, as 16-bit differences in linear light; programs that know no tar
 those of the first frame. Where the topology changes there are two meshes, and the scale of their
 nodes shows one at a time.
 
+Where a mesh goes far or grows much, 16 bits do not resolve both its way and its shape. Then a node
+above it has an animated translation and scale, and the targets are differences in shape alone.
+
 Colours may be a texture, too. glTF has none that changes, so the mesh wears that of its first
 frame, and a second mesh around it that of its last frame, transparent at first. One more target
 makes the second opaque, as much as its weight says: programs that know no targets of colours show
@@ -56,7 +59,11 @@ LARGEST_NORMAL = 127
 LARGEST_ALPHA_CHANGE = 127
 
 AROUND = 1e-3
-"""How far a mesh is from the one around it in every frame, over half the extent of its motion."""
+"""How far a mesh is from the one around it in every frame, over the size of its place."""
+
+FARTHEST = 4.0
+"""How far vertices may move, over the least extent of the mesh, where targets hold all of it: what
+16 bits round off is less than a ten-thousandth of the mesh then."""
 
 LEAST_NORMAL = 0.1
 """Shortest normal that a target leads to. Only its direction counts."""
@@ -97,7 +104,12 @@ def write(selection: Selection, path: Path) -> None:
             times = (np.array(mesh.frames) - first) / fps
             shares = np.eye(len(times), dtype=np.float32)
         second = mesh is not surface.meshes[0]
-        for node in _add_mesh(file, mesh, name):
+        place = _Place.of(mesh.vertices)
+        nodes = _add_mesh(file, mesh, place, name)
+        if place.moves:
+            _add_carrier(file, animation, name, nodes, place, times, shares)
+            shares = place.shape_shares(shares)
+        for node in nodes:
             weights = (shares @ node.weights).reshape(-1)
             _animate(animation, file, node.index, "weights", times, weights, "LINEAR")
             if changes_at is None:
@@ -132,24 +144,52 @@ def _shares(mesh: TrackedMesh, played: Playback) -> npt.NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Where a mesh is in its own coordinates, in which no frame is farther than 1 from the first.
+    """Where a mesh is in each frame; in its own coordinates no vertex moves farther than 1.
 
     Attributes:
-        centre: Of the first frame's bounds [units of the selection], shape [3].
-        size: Half the extent of the motion [units of the selection].
+        centres: Origin of those coordinates in each frame [units of the selection], shape [T, 3].
+        sizes: Their unit in each frame [units of the selection], shape [T].
     """
 
-    centre: Floats
-    size: float
+    centres: Floats
+    sizes: Floats
 
     @classmethod
     def of(cls, vertices: Floats) -> _Place:
-        """For a mesh by frame, shape [T, v, 3]."""
+        """For a mesh by frame, shape [T, v, 3]: the same in all frames unless it goes too far."""
         first = vertices[0]
-        centre = (first.min(axis=0) + first.max(axis=0)) / 2
-        largest = max(np.abs(first - centre).max(), np.abs(vertices - first).max())
-        # a scale that single precision holds exactly is the same in the node and its animation
-        return cls(centre, float(np.nextafter(np.float32(largest), np.float32(np.inf))))
+        lows, highs = vertices.min(axis=1), vertices.max(axis=1)
+        centres = (lows + highs) / 2
+        largest = max(np.abs(first - centres[0]).max(), np.abs(vertices - first).max())
+        if largest <= FARTHEST * (highs - lows).max(axis=1).min():
+            count = len(vertices)
+            return cls(np.tile(centres[0], (count, 1)), np.tile(_above(largest), count))
+        centres = centres.astype(np.float32).astype(np.float64)  # as the animation has them
+        halves = np.abs(vertices - centres[:, None]).max(axis=(1, 2))
+        return cls(centres, _above(2 * (1 + 2 * AROUND) * halves))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it differs from frame to frame."""
+        return bool(np.ptp(self.sizes) or np.ptp(self.centres, axis=0).any())
+
+    def sizes_at(self, shares: npt.NDArray[np.float32]) -> Floats:
+        """The unit at moments, by their shares of the frames, shape [moments]."""
+        # a motion that goes past its end must not turn the mesh inside out
+        sizes: Floats = np.maximum(shares @ self.sizes, self.sizes.min() / 2)
+        return sizes
+
+    def shape_shares(self, shares: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Shares of the frames in the shape at moments, by those in its vertices; as these."""
+        of_shape: npt.NDArray[np.float32] = (
+            shares * self.sizes / self.sizes_at(shares)[:, None]
+        ).astype(np.float32)
+        return of_shape
+
+
+def _above(value: npt.ArrayLike) -> Floats:
+    """The next larger numbers of single precision: the same in a node and in its animation."""
+    return np.nextafter(np.asarray(value, np.float32), np.float32(np.inf)).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +207,29 @@ class _Node:
     weights: npt.NDArray[np.float32]
 
 
-def _add_mesh(file: GltfFile, mesh: TrackedMesh, name: str) -> list[_Node]:
+def _add_carrier(
+    file: GltfFile,
+    animation: Json,
+    name: str,
+    nodes: list[_Node],
+    place: _Place,
+    times: Floats,
+    shares: npt.NDArray[np.float32],
+) -> None:
+    """Add a node that carries those of a mesh along, at times [s] with shares of the frames."""
+    carrier = file.node({
+        "name": f"{name}, place",
+        "children": [node.index for node in nodes],
+        "translation": place.centres[0].tolist(),
+        "scale": [place.sizes[0]] * 3,
+    })  # fmt: skip
+    _animate(animation, file, carrier, "translation", times, shares @ place.centres, "LINEAR")
+    scales = np.outer(place.sizes_at(shares), np.ones(3))
+    _animate(animation, file, carrier, "scale", times, scales, "LINEAR")
+
+
+def _add_mesh(file: GltfFile, mesh: TrackedMesh, place: _Place, name: str) -> list[_Node]:
     """Add a mesh that moves, and the one around it if it has textures."""
-    place = _Place.of(mesh.vertices)
     names = [f"frame {frame}" for frame in mesh.frames[1:]]
     weights = np.eye(len(mesh.frames), dtype=np.float32)[:, 1:]
     textures = mesh.textures
@@ -205,8 +265,10 @@ def _primitive(
     faces = mesh.faces if atlas is None else atlas.faces
     begin = unit_normals(mesh.normals[0, corners])
     shapes = [
-        (vertices[corners] - place.centre) / place.size + away * unit_normals(normals[corners])
-        for vertices, normals in zip(mesh.vertices, mesh.normals, strict=True)
+        (vertices[corners] - centre) / size + away * unit_normals(normals[corners])
+        for vertices, normals, centre, size in zip(
+            mesh.vertices, mesh.normals, place.centres, place.sizes, strict=True
+        )
     ]
     attributes = {
         "POSITION": file.array(shapes[0].astype(np.float32), bounds=True, target=ARRAY_BUFFER),
@@ -259,20 +321,22 @@ def _add_node(
     place: _Place,
     weights: npt.NDArray[np.float32],
 ) -> _Node:
-    """Add a node with a mesh of one primitive, whose targets have names."""
+    """Add a node with a mesh of one primitive, whose targets have names.
+
+    Where its place moves, the node is the child of one that is yet to be added.
+    """
     mesh = {
         "name": name,
         "primitives": [primitive],
         "weights": [0.0] * len(names),
         "extras": {"targetNames": names},
     }
-    node = {
-        "name": name,
-        "mesh": file.append("meshes", mesh),
-        "translation": place.centre.tolist(),
-        "scale": [place.size] * 3,
-    }
-    return _Node(file.node(node), place.size, weights)
+    node = {"name": name, "mesh": file.append("meshes", mesh)}
+    if place.moves:
+        return _Node(file.append("nodes", node), 1.0, weights)
+    size = float(place.sizes[0])
+    node |= {"translation": place.centres[0].tolist(), "scale": [size] * 3}
+    return _Node(file.node(node), size, weights)
 
 
 def _turned(normals: npt.NDArray[np.float32], wanted: Floats) -> Floats:

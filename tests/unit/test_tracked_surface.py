@@ -18,9 +18,11 @@ from morph_engine.geometry.sampling import Similarity
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_tracking import carried, mean_distance
 from morph_engine.presets import configure
+from morph_engine.results.playback import Playback
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.selection import Selection
 from morph_engine.results.spool import Spool
+from morph_engine.results.timeline import Timing
 from morph_engine.results.tracked_surface import track_surface
 from morph_engine.results.trajectory import Trajectory, write_result
 
@@ -34,10 +36,9 @@ DTYPES = {5120: np.int8, 5122: np.int16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 
 
-def stored(path, frames, to_user):
-    """A result of particles that no simulation has moved."""
-    to_grid = to_user.inverse()
-    placement = Placement(source=to_grid, target=to_grid)
+def stored(path, frames, to_user, to_target=None):
+    """A result of particles that no simulation has moved; the target's map may be another one."""
+    placement = Placement(source=to_user.inverse(), target=(to_target or to_user).inverse())
     config = configure("fast", {"sampling.points_per_cell_edge": 2, "frames": len(frames)})
     ends = frames[0], frames[-1]
     with Spool.create(path, RunRecord(config, *ends, *ends, placement=placement)) as spool:
@@ -54,8 +55,7 @@ def lattice(*sizes):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-@pytest.fixture(scope="module")
-def ring(tmp_path_factory):
+def ring_frames():
     """A disc that becomes a ring: matter moves away from the axis, and keeps its volume."""
     disc = lattice(4, 1.5, 4)
     disc = disc[np.hypot(disc[:, 0], disc[:, 2]) < 4]
@@ -64,13 +64,10 @@ def ring(tmp_path_factory):
     for hole in np.linspace(0, 3.5, FRAMES):
         outwards = np.sqrt(away**2 + hole**2) / away
         frames.append((disc * np.hstack([outwards, outwards**0, outwards])).astype(np.float32))
-    path = tmp_path_factory.mktemp("ring") / "ring.vtkhdf"
-    with Trajectory(stored(path, frames, Similarity(0.1, (7.0, 8.0, 9.0)))) as opened:
-        yield opened
+    return frames
 
 
-@pytest.fixture(scope="module")
-def lump(tmp_path_factory):
+def lump_frames():
     """A box out of which a leg grows: the topology stays."""
     box = lattice(2.5, 2, 2)
     frames = []
@@ -78,8 +75,22 @@ def lump(tmp_path_factory):
         middle = np.hypot(box[:, 1], box[:, 2]) < 1.2
         share = np.clip(box[:, 0], 0, None) / 2.5
         frames.append((box + np.outer(length * middle * share, [1, 0, 0])).astype(np.float32))
+    return frames
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory):
+    """A result in which the topology changes."""
+    path = tmp_path_factory.mktemp("ring") / "ring.vtkhdf"
+    with Trajectory(stored(path, ring_frames(), Similarity(0.1, (7.0, 8.0, 9.0)))) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def lump(tmp_path_factory):
+    """A result in which it stays."""
     path = tmp_path_factory.mktemp("lump") / "lump.vtkhdf"
-    with Trajectory(stored(path, frames, Similarity())) as opened:
+    with Trajectory(stored(path, lump_frames(), Similarity())) as opened:
         yield opened
 
 
@@ -207,6 +218,23 @@ class Glb:
             if channel["target"] == {"node": node, "path": path}:
                 yield animation["samplers"][channel["sampler"]]
 
+    def nodes(self, name):
+        """Indices of the nodes of a name."""
+        return [i for i, node in enumerate(self.json["nodes"]) if node["name"] == name]
+
+    def played(self, name, key):
+        """Positions of the corners of the mesh of a name at a key of its animation."""
+        nodes = self.json["nodes"]
+        (node,) = self.nodes(name)
+        (carrier,) = (i for i, each in enumerate(nodes) if node in each.get("children", []))
+        (primitive,) = self.json["meshes"][nodes[node]["mesh"]]["primitives"]
+        shown = self.array(primitive["attributes"]["POSITION"])
+        weights = self.keys(node, "weights")[1].reshape(-1, len(primitive["targets"]))[key]
+        for target, weight in zip(primitive["targets"], weights, strict=True):
+            shown += weight * self.array(target["POSITION"])
+        translation, scale = (self.keys(carrier, path)[1] for path in ("translation", "scale"))
+        return shown * scale[key] + translation[key]
+
     def keys(self, node, path):
         """Times and values of a property of a node."""
         (sampler,) = self._samplers(node, path)
@@ -235,6 +263,63 @@ def test_glb_moves_in_the_user_s_units(ring, tmp_path):
         np.testing.assert_allclose(times, [0, change], rtol=1e-6)
         assert (scales.reshape(2, 3) > 0).all(axis=1).tolist() == visible
     assert file.json["scenes"][0]["extras"]["topology_changes_at_frame"] == found.changes_at
+
+
+FAR_AWAY = (
+    (Similarity(0.2), Similarity(0.2, (500.0, 0.0, 0.0))),
+    (Similarity(0.008), Similarity(400.0, (9000.0, -7000.0, 0.0))),
+    (Similarity(400.0, (9000.0, -7000.0, 0.0)), Similarity(0.008)),
+)
+"""From near to far, from small to large and far, and back: grid units to those of either end."""
+
+
+def sharpness(vertices):
+    """A ten-thousandth of a mesh, and what single precision rounds off where it is."""
+    return 1e-4 * np.ptp(vertices, axis=0).max() + np.spacing(np.float32(np.abs(vertices).max()))
+
+
+@pytest.mark.parametrize("ends", FAR_AWAY)
+@pytest.mark.parametrize("frames", [lump_frames(), ring_frames()], ids=["lump", "ring"])
+def test_glb_is_as_sharp_where_it_goes_far_or_grows_much(tmp_path, ends, frames):
+    """In each frame, beside the mesh as it is there; one mesh at a time is shown."""
+    with Trajectory(stored(tmp_path / "r.vtkhdf", frames, *ends)) as result:
+        path = export(result, tmp_path / "far.glb", "glb", tracked=True)
+        found = track_surface(selection(result, units="user"))
+    file = Glb(path)
+    names = ("surface", "surface after")
+    for mesh, name in zip(found.meshes, names, strict=False):
+        for key, vertices in enumerate(mesh.vertices):
+            assert np.abs(file.played(name, key) - vertices).max() < sharpness(vertices)
+    for second in range(len(found.meshes) if found.changes_at else 0):
+        (node,) = file.nodes(names[second])
+        assert file.keys(node, "scale")[1][:, 0].tolist() == [1 - second, second]
+
+
+@pytest.mark.parametrize(
+    ("ends", "easing"), list(zip(FAR_AWAY, ("overshoot", "overshoot", "in-out"), strict=True))
+)
+def test_a_timed_glb_is_where_its_frames_are_mixed(tmp_path, ends, easing):
+    """Between two frames and beyond the last one vertices are mixed, whatever carries them."""
+    timing = Timing(2, 10, easing=easing)
+    with Trajectory(stored(tmp_path / "r.vtkhdf", lump_frames(), *ends)) as result:
+        path = export(result, tmp_path / "far.glb", "glb", tracked=True, timing=timing)
+        (mesh,) = track_surface(selection(result, units="user")).meshes
+        playback = Playback(result, timing)
+    file = Glb(path)
+    for key, moment in enumerate(playback.moments):
+        mixed = sum(share * mesh.vertices[frame] for frame, share in playback.frames(moment))
+        assert np.abs(file.played("surface", key) - mixed).max() < sharpness(mixed)
+
+
+def test_a_mesh_that_shrinks_past_its_end_is_not_turned_inside_out(tmp_path):
+    """Beyond the last frame the mirror image of its way has sizes below zero."""
+    timing = Timing(2, 10, easing="overshoot")
+    with Trajectory(stored(tmp_path / "r.vtkhdf", lump_frames(), *FAR_AWAY[2])) as result:
+        path = export(result, tmp_path / "far.glb", "glb", tracked=True, timing=timing)
+    file = Glb(path)
+    (carrier,) = file.nodes("surface, place")
+    scales = file.keys(carrier, "scale")[1]
+    assert 0 < scales.min() < 0.1
 
 
 def test_glb_is_the_same_twice_and_small(lump, tmp_path):
