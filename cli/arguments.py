@@ -137,15 +137,17 @@ def parse_seeds(text: str) -> list[int]:
 def check_output(out: Path, *, force: bool, folder: bool = False) -> None:
     """Refuse to write where something is already, or where there is no folder to write in.
 
-    With `force` it may be replaced; with `folder` a folder that is there will do.
+    With `force` it may be replaced; with `folder` an empty folder will do.
 
     Raises:
         ResultError: It cannot be written there.
     """
-    if out.exists() and not force and not (folder and out.is_dir()):
+    within = folder and out.is_dir()
+    if not force and (any(out.iterdir()) if within else out.exists()):
+        cause, kind = (" and is not empty", "folder") if within else ("", "file")
         raise ResultError(
-            f"{out} already exists.",
-            "Choose another file with --out, or replace it with --force.",
+            f"{out} already exists{cause}.",
+            f"Choose another {kind} with --out, or replace it with --force.",
         )
     if not out.absolute().parent.is_dir():
         raise ResultError(

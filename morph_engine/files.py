@@ -12,7 +12,7 @@ import sys
 import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -25,6 +25,9 @@ UNREADABLE = (
 """What reading a damaged archive of arrays (.npz) raises: a single bit may call it encrypted."""
 
 _BLOCK_BYTES = 1 << 20
+
+FRAME_FILE = re.compile(r"frame-\d{4,}\.(?:ply|obj|glb|stl|png)")
+"""What a file in a folder with one per frame is called."""
 
 LONGEST_STEM = 150
 """Of a file name that a program makes up [bytes]: file systems take 255, with all endings."""
@@ -56,6 +59,42 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         temporary.unlink(missing_ok=True)
     sync_directory(path.parent)
+
+
+@contextmanager
+def replacing_frames(folder: Path) -> Iterator[Callable[[str], Path]]:
+    """Write files of frames into a folder, which is made: all are there at the end, or none.
+
+    The body asks for the temporary name of each file and writes to it. Leaving the body renames
+    them, and removes files of other frames that are there from before; an exception removes the
+    temporary ones. What is not called as frames are stays in any case.
+
+    Raises:
+        OSError: The files cannot be written, for want of space or of the right to.
+    """
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    written: dict[str, Path] = {}
+
+    def temporary(name: str) -> Path:
+        return written.setdefault(name, folder / f"{name}.tmp")
+
+    try:
+        yield temporary
+        for path in written.values():
+            with path.open("r+b") as file:
+                os.fsync(file.fileno())
+        for old in list(folder.iterdir()):
+            if FRAME_FILE.fullmatch(old.name) and old.name not in written:
+                old.unlink()
+        for name, path in written.items():
+            os.replace(path, folder / name)
+    finally:
+        for path in written.values():
+            path.unlink(missing_ok=True)
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
+    sync_directory(folder)
 
 
 def sync_directory(path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from morph_engine.export.format import Format
-from morph_engine.files import replacing
+from morph_engine.files import replacing_frames
 from morph_engine.results.selection import Selection
 
 EARLIEST = (1980, 1, 1, 0, 0, 0)
@@ -28,11 +28,10 @@ def write_archive(chosen: Format, selection: Selection, path: Path) -> None:
 
 
 def write_folder(chosen: Format, selection: Selection, path: Path) -> None:
-    """Write a file per frame into a folder, which is made; arguments as for `Format.write`."""
-    path.mkdir(parents=True, exist_ok=True)
-    for name, frame in _files(chosen, selection):
-        with replacing(path / name) as temporary:
-            chosen.write(frame, temporary)
+    """Write a file per frame into a folder, for those there; arguments as for `Format.write`."""
+    with replacing_frames(path) as temporary:
+        for name, frame in _files(chosen, selection):
+            chosen.write(frame, temporary(name))
 
 
 def _files(chosen: Format, selection: Selection) -> Iterator[tuple[str, Selection]]:

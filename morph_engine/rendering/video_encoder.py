@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from morph_engine.errors import ConfigError
-from morph_engine.files import replacing
+from morph_engine.files import replacing_frames
 from morph_engine.optional_packages import load
 
 VideoKind = Literal["mp4", "gif", "webm", "mov", "png"]
@@ -119,7 +119,7 @@ def write_video(path: Path, pictures: Iterable[Picture], *, kind: VideoKind, fps
 
 
 def write_pictures(folder: Path, pictures: Iterable[Picture]) -> None:
-    """Write pictures as PNG files into a folder, which is made: frame-0000.png and so on.
+    """Write pictures as PNG files into a folder: frame-0000.png and so on, see `replacing_frames`.
 
     Args:
         folder: The folder.
@@ -128,10 +128,9 @@ def write_pictures(folder: Path, pictures: Iterable[Picture]) -> None:
     Raises:
         OSError: The disk refuses.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, data in _png_files(pictures):
-        with replacing(folder / name) as temporary:
-            temporary.write_bytes(data)
+    with replacing_frames(folder) as temporary:
+        for name, data in _png_files(pictures):
+            temporary(name).write_bytes(data)
 
 
 def write_picture(path: Path, picture: Picture) -> None:

@@ -115,6 +115,23 @@ def test_render_keeps_a_time_of_its_own(result, tmp_path):
     assert len(list((tmp_path / "pictures").iterdir())) == 2 + 12  # two frames, and a second
 
 
+@pytest.mark.parametrize("command", [("export", "--format", "ply"), ("render", "--size", "64x48")])
+def test_a_folder_is_replaced_only_by_force(result, tmp_path, command):
+    """One that holds anything is refused as a file is; an empty one is not."""
+    name, *options = command
+    folder = tmp_path / "all"
+    folder.mkdir()
+    assert morph(name, result, "-o", folder, *options, cwd=tmp_path).returncode == 0
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    again = (name, result, "-o", folder, "--frames", "0", *options)
+    outcome = morph(*again, cwd=tmp_path)
+    assert outcome.returncode == 2
+    assert "already exists" in outcome.stderr and "--force" in outcome.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert morph(*again, "--force", cwd=tmp_path).returncode == 0
+    assert len(list(folder.iterdir())) < len(before)
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

@@ -17,6 +17,7 @@ from morph_engine.errors import ConfigError, ExtraError, ResultError
 from morph_engine.export import FORMATS, export, suffix
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.geometry.topology import vertex_normals
+from morph_engine.rendering.pictures import video
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.trajectory import Trajectory
 
@@ -117,6 +118,36 @@ def test_splats_of_several_frames_are_a_file_each(trajectory, tmp_path, surface)
             if surface:
                 expected = reconstruct_surface(expected, 0.5).vertices
             np.testing.assert_allclose(places, expected, atol=TOLERANCE)
+
+
+def test_a_folder_holds_the_frames_of_its_last_export_alone(trajectory, tmp_path):
+    """Frames of an earlier one are replaced, files of the user's own are not."""
+    folder = export(trajectory, tmp_path / "all", "ply")
+    own = {"notes.txt", "frame-0001.blend", "frame-1.ply", "frame-0000.ply.bak"}
+    for name in own:
+        (folder / name).write_text("mine")
+    export(trajectory, folder, "obj", frames=[1, 2])
+    assert {path.name for path in folder.iterdir()} == own | {"frame-0001.obj", "frame-0002.obj"}
+    video(trajectory, folder, frames=[0], fps=1, size=(64, 48))
+    names = {path.name for path in folder.iterdir()}
+    assert names == own | {"frame-0000.png", "frame-0001.png"}
+    assert all((folder / name).read_text() == "mine" for name in own)
+
+
+def test_a_folder_stays_as_it_is_if_an_export_fails(trajectory, tmp_path):
+    """The frames of the earlier one are there, and no folder is made in vain."""
+    folder = export(trajectory, tmp_path / "all", "ply")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def watch(done, total):
+        if done == 2:
+            raise OSError("The disk is full.")
+
+    for path in (folder, tmp_path / "new"):
+        with pytest.raises(ResultError, match="The disk is full"):
+            export(trajectory, path, "ply", surface=True, watch=watch)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("format", ["ply", "obj", "glb"])
