@@ -20,7 +20,12 @@ from morph_engine.results.fields import find as find_field
 from morph_engine.results.run_record import Units
 from morph_engine.results.selection import Selection, check_snap
 from morph_engine.results.timeline import Timing
-from morph_engine.results.trajectory import Trajectory, opened, writing
+from morph_engine.results.trajectory import (
+    Trajectory,
+    check_replaces_no_result,
+    opened,
+    writing,
+)
 
 __all__ = [
     "FORMATS", "Content", "Format", "Selection", "Units", "check", "export", "find", "suffix",
@@ -137,7 +142,8 @@ def export(
         ConfigError: There is no such format or field, the format cannot hold what is asked for, or
             there is no surface to draw.
         ExtraError: The format needs a package that is not installed.
-        ResultError: The result is damaged, has no such frame or field, or the disk refuses.
+        ResultError: The result is damaged, has no such frame or field, or would be replaced, or the
+            disk refuses.
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
@@ -153,6 +159,7 @@ def export(
         timing=timing,
         picture=picture,
     )
+    check_replaces_no_result(result, path)
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
     if tracked and path.suffix.lower() != chosen.suffix:
         raise ConfigError(

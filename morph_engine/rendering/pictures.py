@@ -35,7 +35,12 @@ from morph_engine.results.fields import find as find_field
 from morph_engine.results.playback import Playback
 from morph_engine.results.selection import Selection, check_snap
 from morph_engine.results.timeline import Timing
-from morph_engine.results.trajectory import Trajectory, opened, writing
+from morph_engine.results.trajectory import (
+    Trajectory,
+    check_replaces_no_result,
+    opened,
+    writing,
+)
 
 Floats = npt.NDArray[np.float64]
 Size = tuple[int, int]
@@ -358,10 +363,11 @@ def video(
         ConfigError: The kind, the size, the field, the background, the material or the timing is
             none that can be used, or there is no surface to draw.
         ExtraError: A video is asked for that PyAV writes, which is not installed.
-        ResultError: The result is damaged, or lacks a frame or the field.
+        ResultError: The result is damaged, lacks a frame or the field, or would be replaced.
         MeshError: The particles of a frame enclose nothing.
     """
     path = Path(path)
+    check_replaces_no_result(result, path)
     folder = not path.suffix and kind in (None, "png")
     still = path.suffix.lower() == ".png" and kind is None
     if still:

@@ -94,6 +94,20 @@ class _DiskFile(io.FileIO):
                 raise self._error
 
 
+def check_replaces_no_result(result: Path | str | Trajectory, path: Path) -> None:
+    """Refuse to write what is made from a result over that result.
+
+    Raises:
+        ResultError: The path is that of the result, by whatever name.
+    """
+    source = result.path if isinstance(result, Trajectory) else Path(result)
+    if path.exists() and source.exists() and path.samefile(source):
+        raise ResultError(
+            f"{path} is the result that is to be read, which it would replace.",
+            "Choose another file to write.",
+        )
+
+
 @contextmanager
 def writing(
     path: Path, remedy: str = "Free some disk space, or choose another place."

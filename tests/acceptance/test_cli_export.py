@@ -115,6 +115,17 @@ def test_render_keeps_a_time_of_its_own(result, tmp_path):
     assert len(list((tmp_path / "pictures").iterdir())) == 2 + 12  # two frames, and a second
 
 
+def test_no_force_replaces_the_result_that_is_read(result, tmp_path):
+    """It is refused with a remedy, and the result stays."""
+    own = tmp_path / "own.vtkhdf"
+    own.write_bytes(result.read_bytes())
+    for command in (("export", "--format", "npz"), ("export", "--format", "ply"), ("render",)):
+        outcome = morph(command[0], own, "-o", own, *command[1:], "--force", cwd=tmp_path)
+        assert outcome.returncode == 2
+        assert "would replace" in outcome.stderr and "another file" in outcome.stderr
+    assert own.read_bytes() == result.read_bytes()
+
+
 @pytest.mark.parametrize("command", [("export", "--format", "ply"), ("render", "--size", "64x48")])
 def test_a_folder_is_replaced_only_by_force(result, tmp_path, command):
     """One that holds anything is refused as a file is; an empty one is not."""

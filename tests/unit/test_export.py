@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import struct
 import sys
 import zipfile
@@ -148,6 +149,25 @@ def test_a_folder_stays_as_it_is_if_an_export_fails(trajectory, tmp_path):
             export(trajectory, path, "ply", surface=True, watch=watch)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert not (tmp_path / "new").exists()
+
+
+def test_a_result_is_never_replaced_by_what_is_made_from_it(small_result, tmp_path):
+    """By none of its names, whether it is open or not, in a format of one file or of many."""
+    result = tmp_path / "run.vtkhdf"
+    shutil.copy(small_result, result)
+    (tmp_path / "link.mp4").symlink_to(result)
+    (tmp_path / "twin").hardlink_to(result)
+    before = result.read_bytes()
+    for name, format in (("run.vtkhdf", "npz"), ("run.vtkhdf", "ply"), ("twin", "csv")):
+        with pytest.raises(ResultError, match="would replace"):
+            export(result, tmp_path / name, format)
+    with Trajectory(result) as run, pytest.raises(ResultError, match="would replace"):
+        export(run, result, "html")
+    for name in ("link.mp4", "twin"):
+        with pytest.raises(ResultError, match="would replace"):
+            video(result, tmp_path / name)
+    assert result.read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"run.vtkhdf", "link.mp4", "twin"}
 
 
 @pytest.mark.parametrize("format", ["ply", "obj", "glb"])
