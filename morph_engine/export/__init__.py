@@ -52,6 +52,10 @@ _VIDEOS = (video.MP4, video.WEBM, video.MOV, video.GIF, video.PNG)
 FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, *_VIDEOS)}
 
 
+_ENDINGS = {known.suffix for known in FORMATS.values()} | {".gltf", ".png", ".vtkhdf"}
+"""What tells a reader that a file is of one format, and not of another."""
+
+
 class Content(TypedDict):
     """What an export holds: arguments that `check` and `export` share."""
 
@@ -115,7 +119,7 @@ def export(
 
     Args:
         result: A result file, or one that is open.
-        path: The file or folder to write.
+        path: The file or folder to write. It must not end as files of another format do.
         format: Name of a format, see `FORMATS`.
         frames: Indices of the frames, negative from the end; None means all, and the last one
             where the path names a file for one frame.
@@ -139,8 +143,8 @@ def export(
         tell: Called with sentences on what was written that its reader should know.
 
     Raises:
-        ConfigError: There is no such format or field, the format cannot hold what is asked for, or
-            there is no surface to draw.
+        ConfigError: There is no such format or field, the format cannot hold what is asked for,
+            the path is not one of that format, or there is no surface to draw.
         ExtraError: The format needs a package that is not installed.
         ResultError: The result is damaged, has no such frame or field, or would be replaced, or the
             disk refuses.
@@ -160,13 +164,8 @@ def export(
         picture=picture,
     )
     check_replaces_no_result(result, path)
+    _check_ending(chosen, path, tracked=tracked)
     single = chosen.kind == "frame" and path.suffix.lower() == chosen.suffix and not tracked
-    if tracked and path.suffix.lower() != chosen.suffix:
-        raise ConfigError(
-            f"A tracked surface is written to a single {chosen.name} file, but "
-            f"{path.name} is not one.",
-            f"Name a file that ends in {chosen.suffix}.",
-        )
     with opened(result) as trajectory:
         selection = Selection(
             trajectory,
@@ -267,6 +266,26 @@ def check(
     raise ConfigError(
         f"{chosen.name} does not support {lacking}.", f"Formats that do: {', '.join(able)}."
     )
+
+
+def _check_ending(chosen: Format, path: Path, *, tracked: bool) -> None:
+    """Refuse the name of a file that would be taken for one of another format."""
+    ending = path.suffix.lower()
+    if tracked:
+        if ending == chosen.suffix:
+            return
+        raise ConfigError(
+            f"A tracked surface is written to a single {chosen.name} file, but "
+            f"{path.name} is not one.",
+            f"Name a file that ends in {chosen.suffix}.",
+        )
+    fitting = {chosen.suffix, ".zip"} if chosen.kind == "frame" else {chosen.suffix}
+    if ending in _ENDINGS - fitting:
+        several = "; for one file per frame, one that ends in .zip, or a folder"
+        raise ConfigError(
+            f"The name {path.name} contradicts the format {chosen.name}.",
+            f"Name a file that ends in {chosen.suffix}{several * (chosen.kind == 'frame')}.",
+        )
 
 
 def _check_picture(format: Format, picture: PictureOptions) -> None:

@@ -148,6 +148,7 @@ def test_a_folder_is_replaced_only_by_force(result, tmp_path, command):
     [
         (("export", "RESULT", "-o", "x.zip"), "--format"),
         (("export", "RESULT", "-o", "x.stl"), "surface"),
+        (("export", "RESULT", "-o", "x.ply", "--format", "stl", "--surface"), ".stl"),
         (("export", "RESULT", "-o", "x.ply", "--snap"), "--surface"),
         (("export", "RESULT", "-o", "x.ply", "--tracked"), "glb, usd"),
         (("export", "RESULT", "-o", "x.ply", "--frames", "5-2"), "0,5,10-20"),

@@ -121,6 +121,12 @@ def test_splats_of_several_frames_are_a_file_each(trajectory, tmp_path, surface)
             np.testing.assert_allclose(places, expected, atol=TOLERANCE)
 
 
+def test_a_folder_may_have_a_dot_in_its_name(trajectory, tmp_path):
+    """What is no ending of a format is none."""
+    for name in ("v1.5", "of.monday"):
+        assert len(list(export(trajectory, tmp_path / name, "ply").iterdir())) == 3
+
+
 def test_a_folder_holds_the_frames_of_its_last_export_alone(trajectory, tmp_path):
     """Frames of an earlier one are replaced, files of the user's own are not."""
     folder = export(trajectory, tmp_path / "all", "ply")
@@ -313,6 +319,12 @@ def test_endings():
         ("a.ply", "ply", {"frames": [3]}, ResultError, "3 frames"),
         ("a.ply", "ply", {"fields": ["sped"]}, ConfigError, "'speed'"),
         ("missing/a.ply", "ply", {}, ResultError, "Cannot write"),
+        ("a.ply", "stl", {"surface": True}, ConfigError, r"contradicts.*\.stl; .*\.zip.*folder"),
+        ("a.PLY", "obj", {}, ConfigError, "contradicts"),
+        ("a.csv", "npz", {}, ConfigError, r"contradicts.*\.npz\."),
+        ("a.zip", "html", {}, ConfigError, "contradicts"),
+        ("a.png", "png", {}, ConfigError, r"contradicts.*\.zip"),
+        ("a.vtkhdf", "ply", {}, ConfigError, "contradicts"),
     ],
 )
 def test_refusals_leave_no_file(trajectory, tmp_path, name, format, options, error, words):
