@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, get_args
 
 from morph_engine.errors import ConfigError, ResultError, unknown_name
 from morph_engine.export import csv, glb, html, npz, obj, pc2, ply, splat, stl, usd, video
@@ -99,7 +99,7 @@ def export(
     path: Path | str,
     format: str,
     *,
-    frames: Sequence[int] | None = None,
+    frames: Sequence[int] | int | None = None,
     surface: bool = False,
     snap: bool = False,
     tracked: bool = False,
@@ -108,7 +108,7 @@ def export(
     timing: Timing | None = None,
     picture: PictureOptions | None = None,
     units: Units = "user",
-    fields: Sequence[str] = (),
+    fields: Sequence[str] | str = (),
     watch: Callable[[int, int], None] = lambda done, total: None,
     tell: Callable[[str], None] = lambda sentence: None,
 ) -> Path:
@@ -121,8 +121,8 @@ def export(
         result: A result file, or one that is open.
         path: The file or folder to write. It must not end as files of another format do.
         format: Name of a format, see `FORMATS`.
-        frames: Indices of the frames, negative from the end; None means all, and the last one
-            where the path names a file for one frame.
+        frames: Indices of the frames, or of a single one, negative from the end; None means all,
+            and the last one where the path names a file for one frame.
         surface: A surface around the particles in place of the particles.
         snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
@@ -137,20 +137,26 @@ def export(
         units: ``user`` for the coordinates of the user's own files, from those of the source in the
             beginning to those of the target at the end; ``source`` or ``target`` for those of
             either all the time; ``grid`` for grid units.
-        fields: Names of fields to carry along, see `results.fields.FIELDS`. A surface takes
-            them from the particle nearest to each of its vertices.
+        fields: Names of fields to carry along, or a single one, see `results.fields.FIELDS`. A
+            surface takes them from the particle nearest to each of its vertices.
         watch: Called with the number of frames written and to be written.
         tell: Called with sentences on what was written that its reader should know.
 
     Raises:
-        ConfigError: There is no such format or field, the format cannot hold what is asked for,
-            the path is not one of that format, or there is no surface to draw.
+        ConfigError: There is no such format, field or units, the format cannot hold what is asked
+            for, the path is not one of that format, or there is no surface to draw.
         ExtraError: The format needs a package that is not installed.
         ResultError: The result is damaged, has no such frame or field, or would be replaced, or the
             disk refuses.
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
+    frames = (frames,) if isinstance(frames, int) else frames
+    fields = (fields,) if isinstance(fields, str) else tuple(fields)
+    if units not in get_args(Units):
+        raise ConfigError(
+            f"There are no units called {units!r}.", f"Choose one of {', '.join(get_args(Units))}."
+        )
     check(
         format,
         surface=surface,
@@ -178,7 +184,7 @@ def export(
             timing=timing,
             picture=picture,
             units=units,
-            fields=tuple(fields),
+            fields=fields,
             watch=watch,
             tell=tell,
         )
@@ -212,8 +218,8 @@ def check(
     snap: bool = False,
     tracked: bool = False,
     texture: int | None = None,
-    fields: Sequence[str] = (),
-    frames: Sequence[int] | None = None,
+    fields: Sequence[str] | str = (),
+    frames: Sequence[int] | int | None = None,
     fps: float | None = None,
     timing: Timing | None = None,
     picture: PictureOptions | None = None,
@@ -226,7 +232,7 @@ def check(
     """
     chosen = find(format)
     check_snap(surface=surface or tracked, snap=snap)
-    for name in fields:
+    for name in (fields,) if isinstance(fields, str) else fields:
         find_field(name)
     if tracked and fields:
         raise ConfigError("A tracked surface cannot have fields.", "Omit the fields, or `tracked`.")

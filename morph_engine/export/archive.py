@@ -28,7 +28,7 @@ def write_archive(chosen: Format, selection: Selection, path: Path) -> None:
 
 
 def write_folder(chosen: Format, selection: Selection, path: Path) -> None:
-    """Write a file per frame into a folder, see `replacing_frames`; otherwise as `write_archive`."""
+    """Write a file per frame into a folder, see `replacing_frames`; else as `write_archive`."""
     with replacing_frames(path) as temporary:
         for name, frame in _files(chosen, selection):
             chosen.write(frame, temporary(name))

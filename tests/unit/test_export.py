@@ -121,6 +121,13 @@ def test_splats_of_several_frames_are_a_file_each(trajectory, tmp_path, surface)
             np.testing.assert_allclose(places, expected, atol=TOLERANCE)
 
 
+def test_a_single_frame_and_a_single_field_need_no_list(trajectory, tmp_path):
+    """They give the same file as a list of one."""
+    alone = export(trajectory, tmp_path / "a.ply", "ply", frames=1, fields="speed")
+    listed = export(trajectory, tmp_path / "b.ply", "ply", frames=[1], fields=["speed"])
+    assert alone.read_bytes() == listed.read_bytes()
+
+
 def test_a_folder_may_have_a_dot_in_its_name(trajectory, tmp_path):
     """What is no ending of a format is none."""
     for name in ("v1.5", "of.monday"):
@@ -321,6 +328,14 @@ def test_endings():
         ("missing/a.ply", "ply", {}, ResultError, "Cannot write"),
         ("a.ply", "stl", {"surface": True}, ConfigError, r"contradicts.*\.stl; .*\.zip.*folder"),
         ("a.PLY", "obj", {}, ConfigError, "contradicts"),
+        (
+            "a.ply",
+            "ply",
+            {"units": "furlong"},
+            ConfigError,
+            "'furlong'.*user, source, target, grid",
+        ),
+        ("a.ply", "ply", {"fields": "sped"}, ConfigError, "'speed'"),
         ("a.csv", "npz", {}, ConfigError, r"contradicts.*\.npz\."),
         ("a.zip", "html", {}, ConfigError, "contradicts"),
         ("a.png", "png", {}, ConfigError, r"contradicts.*\.zip"),
