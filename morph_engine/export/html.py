@@ -2,7 +2,8 @@
 
 The file holds positions as 16-bit shares of the box around all of them, as differences from frame
 to frame, deflated, in base64, and so are colours, as bytes. `server/web/src/standalone/film.js`
-unpacks them.
+unpacks them. A loop has a frame more, in which what is in the last one is where the first one is:
+the viewer goes there as videos do, see `results.playback.Playback`.
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ import html
 import json
 import zlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from morph_engine.errors import ResultError
 from morph_engine.export.format import Format
+from morph_engine.geometry.surface_reconstruction import Surface
+from morph_engine.geometry.surface_tracking import SurfaceTracker
+from morph_engine.optimal_transport.plan import transport_plan
 from morph_engine.results.playback import picture_table
 from morph_engine.results.selection import Selection
 from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface, track_surface
@@ -77,6 +82,36 @@ PAGE = """<!doctype html>
 """
 
 
+@dataclass(frozen=True, eq=False)
+class LoopEnd:
+    """Where a loop takes what is in its last frame: to the places and colours of the first one.
+
+    Attributes:
+        positions: Of the particles or vertices, in their order [any unit], shape [n, 3].
+        colors: Their colours, sRGB, shape [n, 3], uint8; None without any.
+    """
+
+    positions: Floats
+    colors: npt.NDArray[np.uint8] | None
+
+    @classmethod
+    def of_points(cls, points: Floats, colors: npt.NDArray[np.uint8] | None) -> LoopEnd:
+        """Of particles by frame, shape [T, n, 3]: each goes to one of the first frame nearby."""
+        partner = transport_plan(points[-1], points[0])
+        return cls(points[0, partner], None if colors is None else colors[0, partner])
+
+    @classmethod
+    def of_surface(cls, surface: TrackedSurface, spacing: float) -> LoopEnd:
+        """Of the mesh of the last frame, which is drawn to that of the first one."""
+        first, last = surface.meshes[0], surface.meshes[-1]
+        goal = Surface(first.vertices[0], first.faces)
+        tracker = SurfaceTracker(last.faces, last.vertices.shape[1])
+        vertices = tracker.drawn(last.vertices[-1], goal, spacing)
+        if first.colors is None:
+            return cls(vertices, None)
+        return cls(vertices, first.colors[0, cKDTree(goal.vertices).query(vertices)[1]])
+
+
 def write(selection: Selection, path: Path) -> None:
     """Write particles, and with `tracked` the surface, too; arguments as for `Format.write`.
 
@@ -128,16 +163,19 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
     trajectory = selection.trajectory
     timing = picture_table(trajectory, selection.timing) if selection.timing else None
     room = most_bytes - len(json.dumps(timing))
+    closes = timing is not None and "closing" in timing
+    stored = len(frames) + closes
     moving = POSITION_BYTES + COLOR_BYTES * (trajectory.colors is not None)
     surface = None
     if selection.tracked and len(frames) > 1:
         still = MESHES * TRIANGLES_PER_VERTEX * TRIANGLE_BYTES
         surface = track_surface(
-            selection, vertex_limit=room // 2 // (moving * (len(frames) + 1) + still)
+            selection, vertex_limit=room // 2 // (moving * (stored + 1) + still)
         )
         room -= sum(_size(mesh) for mesh in surface.meshes)
+        room -= closes * moving * surface.meshes[-1].vertices.shape[1]
     count = trajectory.run.particle_count
-    shown = _some(count, max(room // (moving * len(frames)), 1))
+    shown = _some(count, max(room // (moving * stored), 1))
     points = np.stack([selection.placed(trajectory.positions(f)[shown], f) for f in frames])
     finite = np.isfinite(points).all(axis=(0, 2))  # lost particles are nowhere
     points, shown = points[:, finite], shown[finite]
@@ -145,7 +183,11 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
     if trajectory.colors is not None:
         found = [selection.particle_colors(frame) for frame in frames]
         colors = np.stack([rgb[shown] for rgb in found if rgb is not None])
-    about, packed = pack(frames, points, surface, colors)
+    ends = [LoopEnd.of_points(points, colors)] if closes else []
+    if closes and surface:
+        spacing = trajectory.run.spacing_of(trajectory.positions(0))
+        ends.append(LoopEnd.of_surface(surface, spacing))
+    about, packed = pack(frames, points, surface, colors, ends)
     config, title = trajectory.config, _title(trajectory)
     some = "" if len(shown) == count else f" ({len(shown):,} shown)"
     about |= {
@@ -171,6 +213,7 @@ def pack(
     points: Floats,
     surface: TrackedSurface | None,
     colors: npt.NDArray[np.uint8] | None = None,
+    ends: Sequence[LoopEnd] = (),
 ) -> tuple[dict[str, Any], bytes]:
     """Positions and colours as the viewer takes them, and the document that describes them.
 
@@ -179,9 +222,11 @@ def pack(
         points: Particles by frame [any unit], shape [T, n, 3].
         surface: Their surface in the same frames, if there is one.
         colors: Colours of the particles by frame, sRGB, shape [T, n, 3], if they have any.
+        ends: Of a loop: where the particles go in the end, and the last mesh of a surface.
     """
     meshes = surface.meshes if surface else ()
     everything = [points, *(mesh.vertices for mesh in meshes)]
+    everything += [end.positions[None] for end in ends]
     low = np.min([positions.min(axis=(0, 1)) for positions in everything], axis=0)
     high = np.max([positions.max(axis=(0, 1)) for positions in everything], axis=0)
     scale = float((high - low).max()) or 1.0
@@ -194,25 +239,38 @@ def pack(
     def tinted(rgb: npt.NDArray[np.uint8] | None) -> bytes:
         return b"" if rgb is None else np.diff(rgb, axis=0, prepend=rgb[:1] * 0).tobytes()
 
-    chunks = [packed(points), tinted(colors)]
+    chunks: list[bytes] = []
+
+    def moving(
+        shown: Sequence[int],
+        positions: Floats,
+        rgb: npt.NDArray[np.uint8] | None,
+        end: LoopEnd | None,
+    ) -> dict[str, Any]:
+        if end is not None:
+            positions = np.concatenate([positions, end.positions[None]])
+            if rgb is not None and end.colors is not None:
+                rgb = np.concatenate([rgb, end.colors[None]])
+        chunks.extend([packed(positions), tinted(rgb)])
+        return {
+            "frames": [frames.index(frame) for frame in shown],
+            "count": positions.shape[1],
+            "colored": rgb is not None,
+            "closes": end is not None,
+        }
+
+    particles = moving(frames, points, colors, ends[0] if ends else None)
     described = []
     for mesh in meshes:
-        chunks += [packed(mesh.vertices), tinted(mesh.colors), mesh.faces.astype("<u4").tobytes()]
-        described.append({
-            "frames": [frames.index(frame) for frame in mesh.frames],
-            "count": mesh.vertices.shape[1],
-            "triangles": len(mesh.faces),
-            "colored": mesh.colors is not None,
-        })  # fmt: skip
+        end = ends[-1] if ends and mesh is meshes[-1] else None
+        described.append(moving(mesh.frames, mesh.vertices, mesh.colors, end))
+        described[-1]["triangles"] = len(mesh.faces)
+        chunks.append(mesh.faces.astype("<u4").tobytes())
     about = {
         "frames": list(frames),
         "offset": low.tolist(),
         "scale": scale,
-        "points": {
-            "frames": list(range(len(frames))),
-            "count": points.shape[1],
-            "colored": colors is not None,
-        },
+        "points": particles,
         "surfaces": described,
     }
     return about, zlib.compress(b"".join(chunks), 9)

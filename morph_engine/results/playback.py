@@ -139,15 +139,20 @@ def picture_table(trajectory: Trajectory, timing: Timing) -> dict[str, Any]:
     Returns:
         ``fps``, pictures per second; ``repeat``, whether it goes on from its beginning; and
         ``frames``, the frame of each picture, or the place between two: the first for the source,
-        and the end of a leg where that is passed.
+        and the end of a leg where that is passed. A loop ends with its last frame, and has
+        ``closing``: how far each picture has gone from that to the first one, 0 to 1.
 
     Raises:
         ConfigError: The timing does not go with the run.
         ResultError: A frame is damaged.
     """
     moments = Playback(trajectory, timing).moments
-    return {
+    table: dict[str, Any] = {
         "fps": timing.fps,
         "repeat": timing.repeat != "none",
         "frames": [round(max(moment.station - 1, 0.0), 4) for moment in moments],
     }
+    if timing.repeat == "loop":
+        table["frames"][-1] = trajectory.frame_count - 1
+        table["closing"] = [*(round(moment.closing, 4) for moment in moments[:-1]), 1.0]
+    return table

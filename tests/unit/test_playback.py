@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from itertools import pairwise
@@ -15,7 +18,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from morph_engine.errors import ConfigError
-from morph_engine.export import check, export
+from morph_engine.export import check, export, html
 from morph_engine.presets import configure
 from morph_engine.rendering.camera_path import CameraKey, CameraPath, View
 from morph_engine.rendering.pictures import video
@@ -24,6 +27,9 @@ from morph_engine.results.run_record import RunRecord, placement_of
 from morph_engine.results.spool import Spool
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import Trajectory, write_result
+
+FILM = Path(__file__).resolve().parents[2] / "server/web/src/standalone/film.js"
+NODE = Path(sys.executable).with_name("node")
 
 H = 0.5
 SIZE = (64, 48)
@@ -189,6 +195,48 @@ def test_a_player_gets_a_frame_for_each_picture(loop: Path) -> None:
         table = picture_table(run, Timing(3, 30, easing="overshoot", repeat="ping-pong"))
     assert (table["fps"], table["repeat"], len(table["frames"])) == (30, True, 90)
     assert (table["frames"][0], max(table["frames"]), table["frames"][-1]) == (0, 11, 0)
+
+
+SHOWN = """
+import { unpack } from "@FILM";
+let text = "";
+for await (const part of process.stdin) text += part;
+const { about, packed } = JSON.parse(text);
+const film = await unpack(about, packed);
+const { frames, closing } = about.timing;
+const shown = frames.map((moment, i) => ({
+  points: [...film.positions(moment, closing?.[i])],
+  vertices: [...film.surface(moment, closing?.[i]).vertices],
+}));
+console.log(JSON.stringify(shown));
+"""
+"""What the viewer of a file shows in each picture, in JavaScript."""
+
+
+def test_a_loop_closes_in_the_viewer_as_in_videos(
+    loop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing jumps from picture to picture, and the last one shows what the first one does."""
+    for name in ("viewer.js", "viewer.css", "licenses.txt"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(html, "VIEWER", tmp_path)
+    timing = Timing(3, 30, easing="linear", repeat="loop")
+    path = export(loop, tmp_path / "loop.html", "html", tracked=True, timing=timing)
+    text = path.read_text(encoding="utf-8")
+    about, packed = (re.findall(f'id="{name}">([^<]*)<', text)[0] for name in ("about", "frames"))
+    given = json.dumps({"about": json.loads(about), "packed": packed})
+    command = [NODE, "--input-type=module", "-e", SHOWN.replace("@FILM", FILM.as_uri())]
+    printed = subprocess.run(command, input=given, capture_output=True, text=True, check=True)
+    pictures = json.loads(printed.stdout)
+    points = [np.reshape(shown["points"], (-1, 3)) for shown in pictures]
+    steps = [np.abs(after - before).max() for before, after in pairwise(points)]
+    assert len(points) == 90 and max(steps) < 0.6 * H
+    step = json.loads(about)["scale"] / html.LEVELS
+    apart, places = cKDTree(points[0]).query(points[-1])
+    assert apart.max() < 2 * step and len(set(places)) == len(points[0])
+    first, last = (np.reshape(pictures[index]["vertices"], (-1, 3)) for index in (0, -1))
+    for one, other in ((first, last), (last, first)):
+        assert cKDTree(one).query(other)[0].mean() < 0.3 * H
 
 
 def test_backgrounds_have_the_colour_asked_for(loop: Path, tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ export async function unpack(about, packed) {
   const buffer = await new Response(stream).arrayBuffer();
   let at = 0;
   const take = (Type, length) => new Type(buffer.slice(at, (at += length * Type.BYTES_PER_ELEMENT)));
-  const summed = (Type, { count, frames }) => {
-    const levels = frames.map(() => take(Type, 3 * count));
+  const summed = (Type, { count, frames, closes }) => {
+    const levels = Array.from({ length: frames.length + closes }, () => take(Type, 3 * count));
     for (let i = 1; i < levels.length; i++) {
       for (let j = 0; j < levels[i].length; j++) levels[i][j] += levels[i - 1][j]; // modulo 65536, or 256
     }
-    return levels;
+    return { all: levels.slice(0, frames.length), end: levels[frames.length] };
   };
   const moving = (what) => ({ levels: summed(Uint16Array, what), colours: what.colored && summed(Uint8Array, what) });
   const points = { ...about.points, ...moving(about.points) };
@@ -38,33 +38,47 @@ export class Film {
     Object.assign(this, { count: frames.length, offset, scale, points, surfaces });
   }
 
-  /** @returns {Float32Array} x y z of each particle at a moment, which may lie between two frames. */
-  positions(moment) {
-    return this.#at(this.points, moment);
+  /**
+   * @param {number} moment a frame, or the place between two.
+   * @param {number} closing how far a loop has gone from its last frame to its first one, 0..1.
+   * @returns {Float32Array} x y z of each particle.
+   */
+  positions(moment, closing = 0) {
+    return this.#at(this.points, moment, closing);
   }
 
   /** @returns {Float32Array | null} linear colours of the particles, if they have any. */
-  light(moment) {
-    return this.#lightAt(this.points, moment);
+  light(moment, closing = 0) {
+    return this.#lightAt(this.points, moment, closing);
   }
 
   /** @returns {{vertices: Float32Array, faces: Uint32Array, light: Float32Array | null}} the surface at a moment. */
-  surface(moment) {
+  surface(moment, closing = 0) {
     const surface = this.surfaces.findLast(({ frames }) => frames[0] <= moment) ?? this.surfaces[0];
-    return { vertices: this.#at(surface, moment), faces: surface.faces, light: this.#lightAt(surface, moment) };
+    return {
+      vertices: this.#at(surface, moment, closing),
+      faces: surface.faces,
+      light: this.#lightAt(surface, moment, closing),
+    };
   }
 
-  #lightAt({ colours, frames }, moment) {
+  #lightAt({ colours, frames }, moment, closing) {
     if (!colours) return null;
-    const [first, next, share] = around(colours, frames, moment);
-    return lightOf(first, next, share);
+    const [first, next, share] = around(colours.all, frames, moment);
+    const light = lightOf(first, next, share);
+    if (!closing || !colours.end) return light;
+    const end = lightOf(colours.end, colours.end, 0);
+    return light.map((value, i) => value + closing * (end[i] - value));
   }
 
-  #at({ levels, frames }, moment) {
-    const [first, next, share] = around(levels, frames, moment);
+  #at({ levels: { all, end }, frames }, moment, closing) {
+    const [first, next, share] = around(all, frames, moment);
+    const last = all.at(-1);
     const out = new Float32Array(first.length);
     for (let i = 0; i < out.length; i++) {
-      out[i] = this.offset[i % 3] + (this.scale / LEVELS) * (first[i] + share * (next[i] - first[i]));
+      let level = first[i] + share * (next[i] - first[i]);
+      if (closing && end) level += closing * (end[i] - last[i]);
+      out[i] = this.offset[i % 3] + (this.scale / LEVELS) * level;
     }
     return out;
   }

@@ -32,10 +32,11 @@ async function start() {
   let moment = 0;
   const show = (at) => {
     moment = at;
-    viewer.setFrame(Math.floor(at), film.positions(at));
-    const surface = kind === "surface" ? film.surface(at) : null;
+    const { closing } = timeline;
+    viewer.setFrame(Math.floor(at), film.positions(at, closing));
+    const surface = kind === "surface" ? film.surface(at, closing) : null;
     viewer.setSurface(surface);
-    const light = surface ? surface.light : film.light(at);
+    const light = surface ? surface.light : film.light(at, closing);
     if (light && surface) viewer.setSurfaceLight(light);
     else if (light) viewer.setParticleLight(light);
     viewer.draw();

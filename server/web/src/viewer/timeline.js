@@ -31,6 +31,7 @@ export class Timeline {
     this.playing = false;
     this.moving = false; // whether what is shown is a part of a motion
     this.share = 0; // of the way from this frame to the next that is shown
+    this.closing = 0; // how far a loop has gone from its last frame to its first one
     this.pace = null;
 
     this.toggle = iconButton("Play", "play", () => (this.playing ? this.rest() : this.play()), { key: "Space" });
@@ -91,8 +92,9 @@ export class Timeline {
   /**
    * Play in a time of its own, apart from how many frames there are.
    *
-   * @param {{fps: number, frames: number[], repeat: boolean} | null} pace the frame, or the place between two, of
-   *   each picture; null for each frame as long as the others.
+   * @param {{fps: number, frames: number[], repeat: boolean, closing?: number[]} | null} pace the frame, or the
+   *   place between two, of each picture, and how far a loop has closed by then; null for each frame as long as the
+   *   others.
    */
   setPace(pace) {
     const playing = this.playing;
@@ -106,11 +108,7 @@ export class Timeline {
   /** The moment of a picture of the pace, which may lie between two pictures. */
   momentAt(picture) {
     if (!this.pace) return picture;
-    const { frames } = this.pace;
-    const before = Math.min(Math.floor(picture), frames.length - 1);
-    const after = Math.min(before + 1, frames.length - 1);
-    const moment = frames[before] + (picture - before) * (frames[after] - frames[before]);
-    return Math.min(moment, this.count - 1);
+    return Math.min(between(this.pace.frames, picture), this.count - 1);
   }
 
   /** @param {number} count of frames there are @param {boolean} lives whether more may come */
@@ -156,7 +154,7 @@ export class Timeline {
     let at = this.index >= this.count - 1 ? 0 : this.index; // in pictures of the pace, or in frames
     if (this.pace) at = Math.max(0, this.pace.frames.findIndex((moment) => moment >= at));
     while (turn === this.#turn && !this.signal.aborted) {
-      await this.at(this.momentAt(at));
+      await this.at(this.momentAt(at), this.pace?.closing ? between(this.pace.closing, at) : 0);
       const shown = performance.now(); // the clock rests while something is awaited
       await new Promise(requestAnimationFrame);
       const last = (this.pace ? this.pace.frames.length : this.count) - 1;
@@ -169,9 +167,10 @@ export class Timeline {
     if (turn === this.#turn) this.rest();
   }
 
-  /** Show a moment, which may lie between two frames, as a part of a motion. */
-  async at(moment) {
+  /** Show a moment, which may lie between two frames, as a part of a motion, in which a loop may close. */
+  async at(moment, closing = 0) {
     const index = Math.floor(moment);
+    this.closing = closing;
     if (index !== this.index || !this.moving) {
       this.moving = true;
       await this.#show(index, { playing: true });
@@ -197,6 +196,7 @@ export class Timeline {
   /** Show a frame. */
   go(index) {
     this.moving = false;
+    this.closing = 0;
     return this.#show(index, { playing: false });
   }
 
@@ -220,4 +220,11 @@ export class Timeline {
     this.toggle.title = `${label} (Space)`;
     this.toggle.replaceChildren(icon(name));
   }
+}
+
+/** The value at a picture, which may lie between two. */
+function between(values, picture) {
+  const before = Math.min(Math.floor(picture), values.length - 1);
+  const after = Math.min(before + 1, values.length - 1);
+  return values[before] + (picture - before) * (values[after] - values[before]);
 }
