@@ -98,7 +98,7 @@ def write(selection: Selection, path: Path) -> None:
     first, changes_at = surface.meshes[0].frames[0], surface.changes_at
     for mesh, name in zip(surface.meshes, ("surface", "surface after"), strict=False):
         if played:
-            times = np.arange(len(played.moments)) / fps
+            times = np.linspace(0, played.seconds, len(played.moments))
             shares = _shares(mesh, played)
         else:
             times = (np.array(mesh.frames) - first) / fps

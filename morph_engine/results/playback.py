@@ -32,6 +32,7 @@ class Playback:
 
     Attributes:
         moments: What is shown, a moment per picture.
+        seconds: When the last of them is shown, after the first [s].
 
     Raises:
         ConfigError: The timing does not go with the run.
@@ -44,6 +45,7 @@ class Playback:
         self._distance = lru_cache(None)(self._moved)
         complete = trajectory.status == "complete"
         closed = complete and trajectory.run.closed
+        self.seconds: float = duration(stops(trajectory), timing)
         self.moments: list[Moment] = self._moments(timing, closed=closed)
 
     def _moments(self, timing: Timing, *, closed: bool) -> list[Moment]:
@@ -56,7 +58,7 @@ class Playback:
         way = sum(self._distances(range(self._trajectory.frame_count + 1)))
         passes = 2 if timing.repeat == "ping-pong" else 1
         kept = self._apart(passes * way / picture_count(shapes, timing), shapes)
-        timing = replace(timing, seconds=duration(shapes, timing))  # fewer stations take as long
+        timing = replace(timing, seconds=self.seconds)  # fewer stations take as long
         places = [kept.index(stop) for stop in shapes]
         return [
             replace(
