@@ -74,7 +74,7 @@ class Backend:
         return np.float64 if self.precision == "float64" else np.float32
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """The settings in words."""
         threads = f"{self.threads} threads" if self.threads else "all threads"
         return f"{self.device}, {threads} and {self.precision}"
@@ -150,8 +150,8 @@ def start(
         return wanted
     if _active and _runs:
         raise DeviceError(
-            f"Another morph in this process is in progress, with {_active.told}; this one asks for "
-            f"{wanted.told}.",
+            f"Another morph in this process is in progress, with {_active.in_words}; this one asks "
+            f"for {wanted.in_words}.",
             "Finish or close the other one first, or use the same settings for both.",
         )
     if precision == "float64" and wanted.device in ("metal", "vulkan"):

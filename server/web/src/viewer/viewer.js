@@ -125,12 +125,12 @@ export class Viewer {
     this.resize();
   }
 
-  /** @returns {import("three").PerspectiveCamera} */
+  /** @returns {import("three").PerspectiveCamera} see viewpoint.js. */
   get camera() {
     return this.viewpoint.camera;
   }
 
-  /** @returns {OrbitControls} */
+  /** @returns {object} what mouse and fingers turn the camera by, see viewpoint.js. */
   get controls() {
     return this.viewpoint.controls;
   }

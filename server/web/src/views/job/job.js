@@ -159,18 +159,18 @@ export async function show(root, { id }, signal) {
   try {
     config = await asked;
     showShape(watch.job);
-    panel.open();
-    panel.setConfig(config);
-    const marked = inGridUnits(job, config);
-    if (marked.length) {
-      const list = landmarks(marked);
-      history.element.before(list.element);
-      panel.setLandmarks(marked, list.show);
-    }
-    aside.append(settings(job, config, signal));
   } catch (error) {
-    panel.open();
     if (!(error instanceof Problem)) throw error;
     aside.append(problemNotice(error));
   }
+  panel.open();
+  if (!config) return;
+  panel.setConfig(config);
+  const marked = inGridUnits(job, config);
+  if (marked.length) {
+    const list = landmarks(marked);
+    history.element.before(list.element);
+    panel.setLandmarks(marked, list.show);
+  }
+  aside.append(settings(job, config, signal));
 }
