@@ -17,6 +17,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from morph_engine.distinct import distinct
+
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -108,7 +110,7 @@ def in_turn(turn: Field, inside: Mask, core: Mask, delay: float) -> Field:
             there = there[sooner]
             reached_at[there] = proposed[sooner]
             nearer.append(there)
-        changed = np.unique(np.concatenate(nearer))
+        changed = distinct(np.concatenate(nearer))
     return reached[1:-1, 1:-1, 1:-1]
 
 

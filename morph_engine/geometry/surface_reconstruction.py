@@ -18,6 +18,7 @@ import pysplashsurf
 import scipy
 import trimesh
 
+from morph_engine.distinct import distinct
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points, finite_points
@@ -68,8 +69,8 @@ class Surface:
         """Whether every edge joins exactly two faces whose orientations agree."""
         start = self.faces.astype(np.int64)
         end = np.roll(start, -1, axis=1)
-        there = np.unique(start * len(self.vertices) + end)
-        back = np.unique(end * len(self.vertices) + start)
+        there = distinct(start * len(self.vertices) + end)
+        back = distinct(end * len(self.vertices) + start)
         return len(there) == start.size and np.array_equal(there, back)
 
     @property
@@ -80,7 +81,7 @@ class Surface:
     @property
     def euler(self) -> int:
         """Vertices - edges + faces of a watertight surface, whose faces have 3/2 edges each."""
-        return len(np.unique(self.faces)) - len(self.faces) // 2
+        return len(distinct(self.faces)) - len(self.faces) // 2
 
     @property
     def area_share_of_largest(self) -> float:

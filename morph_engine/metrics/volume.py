@@ -18,6 +18,7 @@ import numpy.typing as npt
 import scipy
 
 from morph_engine import backend
+from morph_engine.distinct import distinct
 from morph_engine.geometry.point_cloud import Points, extent, finite_points, target_points
 from morph_engine.geometry.winding_number import inside
 from morph_engine.metrics.chamfer import COVERING_RADIUS_OVER_H
@@ -168,7 +169,7 @@ def _raster_nodes(points: Points, *, radius: float, step: float) -> npt.NDArray[
         ]
         for i, j, k in product(range(len(around)), repeat=3)
     ]
-    return np.unique(np.concatenate(found))
+    return distinct(np.concatenate(found))
 
 
 def _some(goal: Points) -> Points:
