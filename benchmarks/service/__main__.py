@@ -10,13 +10,14 @@ from pathlib import Path
 
 from benchmarks import history
 from benchmarks.record import document, machine
-from benchmarks.service import fairness, first_frame, latency, load
+from benchmarks.service import fairness, first_frame, latency, load, throughput
 from benchmarks.service.local_service import LocalService
 from benchmarks.service.measurement import table
 
 GROUPS = {
     "latency": latency.measure,
     "first-frame": first_frame.measure,
+    "throughput": throughput.measure,
     "fairness": fairness.measure,
     "load": load.measure,
 }
