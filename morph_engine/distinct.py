@@ -11,11 +11,10 @@ Number = TypeVar("Number", bound=np.number[Any])
 
 
 def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
-    """The different numbers of an array of any shape in rising order, shape [k], like `np.unique`.
+    """The different numbers of an array of any shape in rising order, shape [k].
 
-    NumPy 2.3 and 2.4 find them by hashing, which takes up to forty times as long as sorting.
+    As `np.unique` alone finds them; but NumPy 2.3 and 2.4 hash then, which takes ten times as long
+    as sorting. Where equal ones are to be counted, they sort.
     """
-    ordered = np.sort(numbers, axis=None)
-    first = np.ones(len(ordered), bool)
-    first[1:] = ordered[1:] != ordered[:-1]
-    return ordered[first]
+    found: NDArray[Number] = np.unique(numbers, return_counts=True)[0]
+    return found

@@ -93,13 +93,13 @@ def finished(api: httpx.Client, job: str) -> dict[str, Any]:
         time.sleep(0.1)
 
 
-def wait_until_idle(supervisor: psutil.Process) -> None:
-    """Wait until the service has nothing to do: its next engine process is ready, too."""
+def wait_until_idle(supervisor: psutil.Process, workers: int = 1) -> None:
+    """Wait until the service has nothing to do: its next engine processes are ready, too."""
     busy = time.monotonic()
     while time.monotonic() - busy < QUIET_SECONDS:
         time.sleep(0.05)
         states = engine_states(supervisor)
-        if len(states) != 1 or states[0] != psutil.STATUS_SLEEPING:
+        if states != [psutil.STATUS_SLEEPING] * workers:
             busy = time.monotonic()
 
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import psutil
 
-from benchmarks.service.first_frame import finished
+from benchmarks.service.first_frame import finished, wait_until_idle
 from benchmarks.service.local_service import LocalService, submit
 from benchmarks.service.measurement import Measurement
 
@@ -30,20 +30,24 @@ def measure(service: LocalService) -> list[Measurement]:
     with service.served(workers=WORKERS, threads=0) as (api, supervisor):
         for job in [submit(api, REQUEST) for _ in range(WORKERS)]:  # kernels are compiled
             finished(api, job)
-        before = cpu_seconds(supervisor)
+        wait_until_idle(supervisor, WORKERS)
+        before = cpu_seconds_of_all(supervisor)
         begun = time.monotonic()
         for job in [submit(api, REQUEST) for _ in range(JOBS)]:
             finished(api, job)
         wall = time.monotonic() - begun
-        cpu = cpu_seconds(supervisor) - before
-    note = f"{JOBS} jobs in {wall:.0f} s"
+        wait_until_idle(supervisor, WORKERS)  # as many processes were started as jobs finished
+        cpu = cpu_seconds_of_all(supervisor) - before
+    what, note = "queued jobs of 11k particles", f"{JOBS} jobs in {wall:.0f} s"
     return [
-        Measurement("queued jobs of 11k particles", 60 * JOBS / wall, None, "a minute", note),
-        Measurement("CPU time of one, and of its process's start", cpu / JOBS, None, "CPU s"),
+        Measurement(what, 60 * JOBS / wall, None, "a minute", note),
+        Measurement(
+            f"{what}: CPU time of each, with all of the service", cpu / JOBS, None, "CPU s"
+        ),
     ]
 
 
-def cpu_seconds(supervisor: psutil.Process) -> float:
+def cpu_seconds_of_all(supervisor: psutil.Process) -> float:
     """CPU time of a service so far [s], with that of its processes that have ended."""
     total = 0.0
     for process in (supervisor, *supervisor.children(recursive=True)):
