@@ -201,12 +201,23 @@ RECORD = """() => {
     window.seen = [];
     window.recorder?.disconnect();
     window.recorder = new MutationObserver(() => window.seen.push(look()));
+    const kinds = ["drop", "input"];
+    const begin = () => {
+        kinds.forEach((kind) => removeEventListener(kind, begin, true));
+        window.recorder.takeRecords();
+        [window.before, window.seen] = [look(), []];
+    };
+    kinds.forEach((kind) => addEventListener(kind, begin, true)); // ahead of the page's own
     const attributeFilter = ["class", "hidden"]; // those of a canvas tell that it is drawn finer
     const options = { subtree: true, childList: true, characterData: true, attributeFilter };
     window.recorder.observe(document.querySelector("form"), options);
     return look();
 }"""
-"""Keeps what the first card and the cost show whenever anything of the form changes."""
+"""Keep what the first card and the cost show whenever anything of the form changes.
+
+`window.before` is what they show when a drop or an input begins, `window.seen` what they show
+from then on.
+"""
 
 NOTHING = {"count": "", "name": "", "cost": "", "drawn": False}
 
@@ -244,10 +255,10 @@ def test_what_is_shown_is_what_is_chosen(mesh_files, page):
 
     def act(do, settle):
         """What is shown from an action until it has settled, and what was shown before."""
-        before = page.evaluate(RECORD)
+        page.evaluate(RECORD)
         do()
         settle()
-        seen = page.evaluate("window.seen")
+        before, seen = page.evaluate("[window.before, window.seen]")
         assert seen
         for now in seen:
             for part in ("count", "name", "cost"):
