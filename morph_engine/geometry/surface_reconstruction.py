@@ -17,12 +17,13 @@ import numpy.typing as npt
 import pysplashsurf
 import scipy
 import trimesh
+from scipy.spatial import cKDTree
 
 from morph_engine.distinct import distinct
 from morph_engine.errors import MeshError
 from morph_engine.geometry.mesh import Mesh
 from morph_engine.geometry.point_cloud import Points, finite_points
-from morph_engine.geometry.topology import signed_volume, triangle_areas
+from morph_engine.geometry.topology import signed_volume, triangle_areas, vertex_normals
 
 KERNEL_OVER_H = 2.5
 """Reach of the kernel over the lattice spacing. At 2, a fill of uneven density tears into splinters
@@ -63,6 +64,16 @@ class Surface:
 
     vertices: npt.NDArray[np.float64]
     faces: npt.NDArray[np.int32]
+
+    @cached_property
+    def normals(self) -> npt.NDArray[np.float64]:
+        """Unit normals at the vertices, shape [V, 3], float64."""
+        return vertex_normals(self.vertices, self.faces)
+
+    @cached_property
+    def vertex_tree(self) -> cKDTree:
+        """A search tree over the vertices."""
+        return cKDTree(self.vertices)
 
     @cached_property
     def watertight(self) -> bool:

@@ -122,10 +122,9 @@ class SurfaceTracker:
         Returns:
             New positions [dx], shape [V, 3]. Vertices between walls that touch may stay inside.
         """
-        goal = _Goal(surface)
         for step in range(MOST_STEPS):
             vertices = self._slid(vertices)
-            vertices, astray = self._stepped(vertices, goal, spacing)
+            vertices, astray = self._stepped(vertices, surface, spacing)
             if not astray.any():
                 if step + 1 >= STEPS:
                     break
@@ -142,22 +141,29 @@ class SurfaceTracker:
         return slid
 
     def _stepped(
-        self, vertices: Floats, goal: _Goal, spacing: float
+        self, vertices: Floats, surface: Surface, spacing: float
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Vertices drawn to the surface, and which of them do not find it or have folded over."""
         reach = REACH_OVER_H * spacing
         normals = vertex_normals(vertices, self._faces)
-        _, near = goal.tree.query(vertices, k=CANDIDATES, workers=-1)
-        facing = np.einsum("vki,vi->vk", goal.normals[near], normals)
-        first = np.take_along_axis(near, (facing > FACING).argmax(axis=1)[:, None], axis=1)[:, 0]
-        offset, along = goal.points[first] - vertices, goal.normals[first]
+        _, nearest = surface.vertex_tree.query(vertices, workers=-1)
+        facing = np.einsum("vi,vi->v", surface.normals[nearest], normals)
+        goal, found = nearest.copy(), facing > FACING
+        others = np.flatnonzero(~found)
+        if len(others):
+            _, near = surface.vertex_tree.query(vertices[others], k=CANDIDATES, workers=-1)
+            fits = np.einsum("vki,vi->vk", surface.normals[near], normals[others]) > FACING
+            first = fits.argmax(axis=1)[:, None]
+            goal[others] = np.take_along_axis(near, first, axis=1)[:, 0]
+            found[others] = fits.any(axis=1)
+        offset, along = surface.vertices[goal] - vertices, surface.normals[goal]
         near_enough = np.linalg.norm(offset, axis=1) < reach
-        found = (facing > FACING).any(axis=1) & (near_enough | (facing[:, 0] > FACING_FAR))
+        found &= near_enough | (facing > FACING_FAR)
         step = np.clip(np.einsum("vi,vi->v", offset, along), -reach, reach)
         moved = vertices.copy()
         moved[found] += step[found, None] * along[found]
         a, b, c = np.moveaxis(moved[self._faces], 1, 0)
-        outward = goal.normals[near[self._faces[:, 0], 0]]
+        outward = surface.normals[nearest[self._faces[:, 0]]]
         folded = np.einsum("fi,fi->f", np.cross(b - a, c - a), outward) < 0
         astray = ~found
         astray[self._faces[folded]] = True
@@ -176,15 +182,6 @@ class SurfaceTracker:
         return vertices
 
 
-class _Goal:
-    """A surface to draw vertices to: its corners, their normals, and a search tree over them."""
-
-    def __init__(self, surface: Surface) -> None:
-        self.points = surface.vertices
-        self.normals = vertex_normals(surface.vertices, surface.faces)
-        self.tree: cKDTree = cKDTree(surface.vertices)
-
-
 def mean_distance(one: Surface, other: Surface) -> float:
     """How far two surfaces are apart [dx]: from faces to planes on average, in both directions.
 
@@ -197,11 +194,10 @@ def _mean_distance(one: Surface, other: Surface) -> float:
     points = one.vertices[one.faces].mean(axis=1)
     a, b, c = np.moveaxis(one.vertices[one.faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    goal = _Goal(other)
-    distance, near = goal.tree.query(points, workers=-1)
+    distance, near = other.vertex_tree.query(points, workers=-1)
     edge = np.linalg.norm(
         other.vertices[other.faces[:, 0]] - other.vertices[other.faces[:, 1]], axis=1
     )
-    height = np.abs(np.einsum("vi,vi->v", points - goal.points[near], goal.normals[near]))
+    height = np.abs(np.einsum("vi,vi->v", points - other.vertices[near], other.normals[near]))
     far = np.where(distance > np.median(edge), distance, height)
     return float(np.average(far, weights=areas))

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import lazy_loader as lazy
 import numpy as np
 import numpy.typing as npt
 import scipy
+
+igl: Any = lazy.load("igl")
 
 WELD_TOLERANCE = 1e-6
 """Vertices closer than this share of the mesh's size count as one (STL stores each face apart)."""
@@ -114,15 +117,9 @@ def vertex_normals(
 
     They are 0 where no face has an area.
     """
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    weighted = np.cross(b - a, c - a)
-    corners = faces.reshape(-1)
-    normals = np.stack(
-        [np.bincount(corners, np.repeat(part, 3), len(vertices)) for part in weighted.T], axis=1
-    )
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit: npt.NDArray[np.float64] = normals / np.where(length > 0, length, 1)
-    return unit
+    by_area = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    normals = igl.per_vertex_normals(vertices, faces.astype(np.int64), by_area)
+    return np.where(np.isnan(normals), 0, normals)
 
 
 def face_volumes(

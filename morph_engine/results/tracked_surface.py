@@ -9,7 +9,8 @@ shrinks to nothing, so that the mesh of a teapot may well become a ball.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,7 +104,7 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
         check_texture(selection)
     first, last = wanted[0], wanted[-1]
     count = last - first + 1
-    watch = _watch_in_frames(selection, 3 * count)
+    watch = _watch_in_frames(selection, 2 * count)
     trajectory = selection.trajectory
     positions = [np.asarray(trajectory.positions(k), np.float64) for k in range(first, last + 1)]
     spacings = [trajectory.run.spacing_of(frame) for frame in positions]
@@ -111,10 +112,15 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
     for frame, spacing in zip(positions, spacings, strict=True):
         surfaces.append(reconstruct_surface(frame, spacing, cell_over_h=CELL_OVER_H))
         watch()
-    forwards, backwards = (
-        _followed(order, positions, spacings, surfaces, vertex_limit, watch)
+    there, back = (
+        _followed(order, positions, spacings, surfaces, vertex_limit)
         for order in (range(count), range(count)[::-1])
     )
+    with ThreadPoolExecutor(1, "backwards") as beside:
+        for _ in range(count):  # frame by frame, so that an interruption waits for one frame only
+            step = beside.submit(next, back)
+            forwards, backwards = next(there), step.result()
+            watch()
     ends = surfaces[0], surfaces[-1]
     same = len({(end.bodies, end.euler) for end in ends}) == 1
     change = _change(forwards.distances, backwards.distances, same=same)
@@ -146,9 +152,8 @@ def _followed(
     spacings: Sequence[float],
     surfaces: Sequence[Surface],
     vertex_limit: int | None,
-    watch: Callable[[], None],
-) -> _Track:
-    """The surface of the first frame of an order, carried through the others.
+) -> Iterator[_Track]:
+    """The surface of the first frame of an order, carried through the others one by one.
 
     Args:
         order: Frames as they come, forwards or backwards.
@@ -156,7 +161,9 @@ def _followed(
         spacings: Their lattice spacing in each frame [dx].
         surfaces: The surface of each frame.
         vertex_limit: As of `track_surface`.
-        watch: Called after each frame.
+
+    Yields:
+        The track after each frame, always the same one; frames to come are undefined in it.
     """
     begin = order[0]
     mesh = _with_fewer(surfaces[begin], positions[begin], spacings[begin], vertex_limit)
@@ -172,8 +179,7 @@ def _followed(
         shown = Surface(vertices, mesh.faces)
         track.distances[k] = mean_distance(shown, surfaces[k]) / spacings[k]
         previous = k
-        watch()
-    return track
+        yield track
 
 
 def _watch_in_frames(selection: Selection, steps: int) -> Callable[[], None]:

@@ -15,13 +15,11 @@ import trimesh
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.live_service import LiveService, free_port
+from tests.patience import PAGE_PATIENCE, patient
 
 ROOT = Path(__file__).resolve().parents[2]
 WEB = ROOT / "server" / "web"
 AXE = WEB / "node_modules" / "axe-core" / "axe.min.js"
-
-PATIENCE = 180_000
-"""How long a page may take for anything [ms]; a first job compiles its kernels."""
 
 FLAGS = [
     "--no-sandbox",
@@ -95,7 +93,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     launcher = tmp_path_factory.mktemp("browser") / "chromium"
     launcher.write_text(LAUNCHER.format(command=shlex.join(start)))
     launcher.chmod(0o755)
-    expect.set_options(timeout=PATIENCE)
+    expect.set_options(timeout=PAGE_PATIENCE)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=launcher, args=FLAGS)
         yield browser
@@ -113,9 +111,8 @@ def new_page(browser: Browser, service: LiveService) -> Iterator[Callable[..., P
 
     def open_page(*, of: LiveService = service, **options: Any) -> Page:
         options = {"viewport": {"width": 1400, "height": 900}, "base_url": of.url} | options
-        context = browser.new_context(**options)
+        context = patient(browser.new_context(**options))
         contexts.append(context)
-        context.set_default_timeout(PATIENCE)
         _watch(context, of, faults)
         return context.new_page()
 

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from tests.animated_pair import FPS, FRAMES, PAIRS, AnimatedPair
+from tests.patience import patient
 
 pytestmark = pytest.mark.browser
 
@@ -117,7 +118,7 @@ def _check_frames(page, moving):
 @contextmanager
 def playing(browser, path):
     """A page in which three.js shows a file, and which has no faults."""
-    page = browser.new_page(viewport={"width": 200, "height": 200})
+    page = patient(browser.new_page(viewport={"width": 200, "height": 200}))
     faults = []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.route(f"{SITE}**", lambda route: _answer(route, path))

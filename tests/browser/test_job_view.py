@@ -17,7 +17,7 @@ import trimesh
 from PIL import Image, ImageChops, ImageStat
 from playwright.sync_api import Page, expect
 
-from tests.patience import until
+from tests.patience import patient, until
 
 pytestmark = pytest.mark.browser
 
@@ -31,7 +31,7 @@ MANY = 2000
 COMPILING = 180
 """A first job compiles its kernels for as long [s] on a busy machine."""
 
-PATIENCE = 60
+PATIENCE = 180
 """How long a picture may take to change [s]."""
 
 SETTLED = 500
@@ -840,7 +840,7 @@ def test_times_of_another_day_have_the_day(page, done):
 
 def test_a_view_whose_code_is_gone_says_so(browser, service, done):
     """As where the service was upgraded while the page was open: it asks to be loaded again."""
-    context = browser.new_context(base_url=service.url)
+    context = patient(browser.new_context(base_url=service.url))
     page = context.new_page()
     page.route(re.compile("/assets/viewer-.*js"), lambda route: route.fulfill(status=404))
     page.goto(f"/jobs/{done}")

@@ -14,6 +14,8 @@ from nbconvert import HTMLExporter
 from PIL import Image, ImageChops, ImageStat
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from tests.patience import patient
+
 pytestmark = pytest.mark.browser
 
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "morph.ipynb"
@@ -45,7 +47,7 @@ def test_the_example_has_three_cells_and_ends_with_a_viewer(
     assert [output.output_type for output in notebook.cells[-1].outputs] == ["display_data"]
     page_file = tmp_path / "notebook.html"
     page_file.write_text(HTMLExporter().from_notebook_node(notebook)[0], encoding="utf-8")
-    page = browser.new_page()
+    page = patient(browser.new_page())
     page.goto(page_file.as_uri())
     viewer = page.frame_locator("iframe[title='heart to star']")
     expect(viewer.locator("canvas")).to_be_visible(timeout=120_000)

@@ -14,6 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
 from morph_engine.results.trajectory import Trajectory
+from tests.patience import patient
 
 pytestmark = pytest.mark.browser
 
@@ -42,8 +43,7 @@ def open_file(browser: Browser) -> Iterator[Callable[[Path], Page]]:
     context.on("weberror", lambda error: faults.append(str(error.error)))
 
     def open_(path: Path) -> Page:
-        page = context.new_page()
-        page.set_default_timeout(180_000)
+        page = patient(context.new_page())
         page.goto(path.as_uri())
         return page
 

@@ -7,6 +7,8 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from tests.patience import patient
+
 pytestmark = pytest.mark.browser
 
 FIRST_VIEW_BYTES = 400_000
@@ -99,7 +101,7 @@ def test_an_unknown_address_says_so(page):
 
 def test_a_view_that_cannot_be_loaded_says_so(browser, service):
     """As where the service was upgraded while the page was open: it asks to be loaded again."""
-    context = browser.new_context(base_url=service.url)
+    context = patient(browser.new_context(base_url=service.url))
     page = context.new_page()
     page.route(re.compile("/assets/gallery-.*js"), lambda route: route.fulfill(status=404))
     page.goto("/")

@@ -16,6 +16,8 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, sync_playwright
 
+from tests.patience import patient
+
 pytestmark = pytest.mark.site
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,6 +149,7 @@ def open_page(browser: Browser, address: str) -> Iterator[Callable[..., Page]]:
             viewport={"width": horizontal, "height": vertical},
             color_scheme="dark" if scheme == "dark" else "light",
         )
+        patient(page)
         page.on("request", look)
         page.on("console", hear)
         page.on("pageerror", lambda error: faults.append(str(error)))
