@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +11,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from morph_engine import srgb
+from morph_engine.geometry.gltf_file import TEXTURED
 from morph_engine.geometry.mesh_colors import NO_TEXTURE, MeshColors
-
-Json = dict[str, Any]
 
 TEXTURE_EDGE = 1024
 """Pixels along the longer side of a texture; those of a shape's particles are farther apart."""
@@ -25,49 +22,7 @@ TEXTURE_PIXELS_LIMIT = 2**26
 
 TEXTURE_KINDS = ("PNG", "JPEG", "WEBP")
 
-TEXTURED = "textured"
-"""Name of a material that should have a texture, for where trimesh finds none."""
-
 _WHITE = np.full(3, 255, np.uint8)
-
-
-def only_base_colors(data: bytes, kind: str) -> bytes:
-    """A glTF file whose materials have but their base colour, and no picture from elsewhere.
-
-    Args:
-        data: The file.
-        kind: ``glb`` or ``gltf``.
-    """
-    if kind == "gltf":
-        return json.dumps(_with_base_colors(json.loads(data))).encode()
-    start, length = 20, int.from_bytes(data[12:16], "little")
-    text = json.dumps(_with_base_colors(json.loads(data[start : start + length]))).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[start + length :]
-    head = struct.pack("<4sII", data[:4], *_version_and(20 + len(text) + len(rest), data))
-    return head + struct.pack("<I4s", len(text), data[16:20]) + text + rest
-
-
-def _version_and(length: int, data: bytes) -> tuple[int, int]:
-    return int.from_bytes(data[4:8], "little"), length
-
-
-def _with_base_colors(header: Json) -> Json:
-    materials = []
-    for material in header.get("materials", []):
-        surface = material.get("pbrMetallicRoughness", {})
-        base = {
-            name: surface[name]
-            for name in ("baseColorFactor", "baseColorTexture")
-            if name in surface
-        }
-        name = TEXTURED if "baseColorTexture" in base else ""
-        materials.append({"name": name, "pbrMetallicRoughness": base})
-    images = [
-        image if image.get("uri", "data:").startswith("data:") else {}
-        for image in header.get("images", [])
-    ]
-    return header | {"materials": materials, "images": images} if materials else header
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +169,8 @@ class _Textures:
             return NO_TEXTURE
         try:
             image.draft("RGB", (TEXTURE_EDGE, TEXTURE_EDGE))  # a JPEG is unfolded no larger
+            if image.mode.startswith("I"):  # greys of 16 bits, which `convert` would cut off at 255
+                image = Image.fromarray((np.asarray(image) / 257).round().astype(np.uint8))
             small = image.convert("RGB")
         except Exception:  # decoders raise anything on a damaged picture
             self.leave_out("is damaged", "Export the mesh again")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import re
 import warnings
 from dataclasses import dataclass, replace
@@ -16,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
-from morph_engine.geometry.file_colors import Part, only_base_colors, read_colors
+from morph_engine.geometry.file_colors import Part, read_colors
+from morph_engine.geometry.gltf_file import gltf_header, plain_gltf
 from morph_engine.geometry.mesh_archive import Companions, read_archive, self_contained_gltf
 from morph_engine.geometry.mesh_colors import MeshColors
+from morph_engine.geometry.obj_file import has_vertex_colors, plain_obj
 from morph_engine.geometry.orientation import reversed_faces
 from morph_engine.geometry.splats import are_splats, solid_of_splats
 from morph_engine.geometry.topology import signed_volume, triangle_areas
@@ -351,11 +352,14 @@ def _parse(
 ) -> tuple[npt.ArrayLike, npt.ArrayLike, MeshColors | None, tuple[str, ...]]:
     """Vertices, faces and colours of a mesh file, opening no other file; what is left out."""
     is_gltf = kind in ("glb", "gltf")
+    materials = is_gltf or companions is not None
     if kind == "obj":
-        _check_obj(data)
+        data = plain_obj(data)
+        if companions and has_vertex_colors(data):  # trimesh takes a plain material instead
+            materials = companions.have_pictures
     elif is_gltf:
         _check_gltf(data, kind)
-        data = only_base_colors(data, kind)
+        data, kind = plain_gltf(data, kind), "glb"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # NumPy only warns when text between numbers makes it stop reading.
@@ -365,7 +369,7 @@ def _parse(
             file_type=kind,
             process=False,
             resolver=companions,
-            skip_materials=not (is_gltf or companions),
+            skip_materials=not materials,
         )
         splats = _splats(scene)
         if splats is not None:
@@ -401,25 +405,9 @@ def _is_mesh(geometry: Any) -> bool:
     return isinstance(geometry, trimesh.Trimesh)
 
 
-def _check_obj(data: bytes) -> None:
-    """Refuse the face indices that trimesh would silently take for others."""
-    if re.search(rb"(?m)^f[ \t](?:.*[ \t])?0(?:[/ \t\r]|$)", data):
-        raise IndexError("OBJ counts vertices from one")
-    relative = re.search(rb"(?m)^f[ \t](?:.*[ \t])?-[0-9]", data)
-    if relative and data.find(b"\nv ", relative.start()) >= 0:
-        raise MeshError(
-            "The OBJ file uses relative vertex indices between its vertices.",
-            "Export the mesh again with absolute indices, or as STL or GLB.",
-        )
-
-
 def _check_gltf(data: bytes, kind: str) -> None:
     """Refuse a glTF header that points outside its file or unfolds to more than it holds."""
-    if kind == "glb":
-        data_start = 20
-        header = json.loads(data[data_start : data_start + int.from_bytes(data[12:16], "little")])
-    else:
-        header = json.loads(data)
+    header = gltf_header(data, kind)
     accessors: list[dict[str, Any]] = header.get("accessors", [])
     if any(
         not buffer["uri"].startswith("data:")
@@ -428,10 +416,6 @@ def _check_gltf(data: bytes, kind: str) -> None:
     ):
         raise MeshError(
             "The glTF file keeps its geometry in another file.", "Export it as GLB, in one file."
-        )
-    if any("bufferView" not in accessor or "sparse" in accessor for accessor in accessors):
-        raise MeshError(
-            "The glTF file is compressed or sparse.", "Export it as GLB without compression."
         )
     viewed = sum(view["byteLength"] for view in header.get("bufferViews", []))
     counted = sum(accessor["count"] for accessor in accessors)

@@ -20,6 +20,8 @@ FILES_LIMIT = 1000
 HIDDEN = ("__MACOSX", ".")
 """What systems put into archives beside the user's files begins so."""
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+
 Members = Mapping[str, bytes]
 """The files of an archive by their paths in it."""
 
@@ -104,6 +106,11 @@ class Companions:
         self.missing: list[str] = []
         self._members = members
         self._folder = PurePosixPath(mesh).parent
+
+    @property
+    def have_pictures(self) -> bool:
+        """Whether there is a file that a texture may be."""
+        return any(PurePosixPath(path).suffix.lower() in PICTURES for path in self._members)
 
     def find(self, reference: str) -> bytes | None:
         """The file that is meant by what the mesh says, such as ``textures/skin.png``."""
