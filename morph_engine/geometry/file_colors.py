@@ -20,7 +20,11 @@ TEXTURE_EDGE = 1024
 TEXTURE_PIXELS_LIMIT = 2**26
 """Most pixels of a file's textures as they are stored: 200 MB in memory."""
 
-TEXTURE_KINDS = ("PNG", "JPEG", "WEBP")
+TEXTURE_KINDS = ("PNG", "JPEG", "WEBP", None)
+"""Formats of pictures in files; those of objects in memory have none."""
+
+PAINTED = (2, 2)
+"""Pixels of the picture that trimesh paints where it finds none."""
 
 _WHITE = np.full(3, 255, np.uint8)
 
@@ -120,8 +124,8 @@ def _of_simple_material(
     """Colours by the MTL of an OBJ: `map_Kd`, or else `Kd`, both sRGB."""
     material = visual.material
     image = material.image
-    comes_from_file = image is not None and image.format  # trimesh paints one where it finds none
-    if comes_from_file and visual.uv is not None:
+    is_painted = image is not None and not image.format and image.size == PAINTED
+    if image is not None and not is_painted and visual.uv is not None:
         index = textures.add(image)
         if index != NO_TEXTURE:
             white = np.tile(_WHITE, (len(faces), 3, 1))

@@ -13,7 +13,7 @@ from PIL import Image
 
 from morph_engine import srgb
 from morph_engine.geometry import file_colors
-from morph_engine.geometry.mesh import load_mesh
+from morph_engine.geometry.mesh import load_mesh, shape_of_trimesh
 from morph_engine.geometry.mesh_colors import nearest_colors
 from morph_engine.ingest import inspect_mesh
 
@@ -184,3 +184,16 @@ def test_the_report_on_a_mesh_says_where_its_colours_are(tmp_path):
     colors = np.rint(127.5 * (directions + 1)).astype(np.uint8)
     shape.visual = trimesh.visual.ColorVisuals(shape, vertex_colors=colors)
     assert inspect_mesh(written(tmp_path, shape, "ball.ply")).colors == "corners"
+
+
+@pytest.mark.parametrize("material", ["PBRMaterial", "SimpleMaterial"])
+def test_a_texture_that_was_never_in_a_file(material):
+    """A picture made in memory is a texture of an object of trimesh, too."""
+    image = Image.new("RGB", (64, 64), (255, 0, 0))
+    kind = getattr(trimesh.visual.material, material)
+    name = "baseColorTexture" if material == "PBRMaterial" else "image"
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(box.vertices[:, :2], kind(**{name: image}))
+    mesh = shape_of_trimesh(box)
+    assert mesh.repairs == ()
+    assert (mesh.colors.textures[0] == (255, 0, 0)).all()
