@@ -153,8 +153,9 @@ def _allowed(field: FieldInfo) -> str:
 
 def print_summary(document: Mapping[str, Any]) -> None:
     """The end of a run on standard output: how good it is, what it cost, and what to do next."""
+    if "cover" in document:  # a run that is unfinished has no such metrics
+        sys.stdout.write(f"{quality(document)}\n")
     sys.stdout.write(
-        f"{quality(document)}\n"
         f"{document['frames']} frames of {document['particle_count']:,} particles in "
         f"{format_duration(document['wall_s'])} ({document['cpu_s']:.0f} CPU s, "
         f"{format_size(document['peak_rss_mb'] * 1e6)}): {document['out']}\n"

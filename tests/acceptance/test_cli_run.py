@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -138,6 +139,18 @@ def test_a_killed_run_resumes_bit_for_bit(unbroken, tmp_path):
     assert refused.returncode == 2 and "--resume" in refused.stderr
     outcome = morph(*SMALL, "--resume", "--json", cwd=tmp_path)
     assert outcome.returncode == 0, outcome.stderr
+def test_ctrl_c_without_json_says_what_there_is_and_how_to_continue(tmp_path):
+    """How many frames are in which file; its quality is measured at the end of a run alone."""
+    process = start_and_wait_for("frame 0 ", *SMALL, cwd=tmp_path)
+    process.send_signal(signal.SIGINT)
+    printed, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert re.search(r"^\d+ frames of .*: sphere-to-star\.vtkhdf$", printed, re.MULTILINE)
+    assert "--resume" in said and "Traceback" not in said
+    with Trajectory(tmp_path / "sphere-to-star.vtkhdf") as stopped:
+        assert printed.startswith(f"{stopped.frame_count} frames ")
+
+
     assert np.array_equal(
         frames_of(tmp_path / document["out"]), frames_of(folder / document["out"])
     )
