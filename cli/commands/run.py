@@ -66,8 +66,10 @@ def rerun(
     """Repeat a run from its result file alone, and print how far apart the two end."""
     _set_up()
     from chamfer_morph.cli import local_run
+    from morph_engine.results.trajectory import check_replaces_no_result
 
     out = out or result.with_name(f"{result.stem}-rerun.vtkhdf")
+    check_replaces_no_result(result, out)
     summary = local_run.run(local_run.record_to_rerun(result), out, execution)
     difference = local_run.rerun_difference(result, summary)
     local_run.report(summary, as_json=execution.as_json, difference=difference)

@@ -110,6 +110,16 @@ def test_rerun_repeats_the_run_from_its_file_alone(unbroken, tmp_path):
     assert np.array_equal(frames_of(again), frames_of(folder / document["out"]))
 
 
+def test_rerun_never_replaces_what_it_repeats(unbroken):
+    """It would be compared with itself."""
+    folder, document, _ = unbroken
+    original = (folder / document["out"]).read_bytes()
+    outcome = morph("rerun", document["out"], "--out", document["out"], "--force", cwd=folder)
+    assert outcome.returncode == 2, outcome.stderr
+    assert "would replace" in outcome.stderr
+    assert (folder / document["out"]).read_bytes() == original
+
+
 def test_ctrl_c_leaves_a_valid_partial_result_that_resume_completes(unbroken, tmp_path):
     """Exit status 130; --resume then ends bit for bit where the unbroken run does."""
     folder, document, _ = unbroken
@@ -129,16 +139,6 @@ def test_ctrl_c_leaves_a_valid_partial_result_that_resume_completes(unbroken, tm
     assert [path.name for path in tmp_path.iterdir()] == [result.name]
 
 
-def test_a_killed_run_resumes_bit_for_bit(unbroken, tmp_path):
-    """SIGKILL gives no chance to tidy up, and costs at most the frame in progress."""
-    folder, document, _ = unbroken
-    process = start_and_wait_for("frame 0 ", *SMALL, cwd=tmp_path)
-    process.kill()
-    process.communicate(timeout=120)
-    refused = morph(*SMALL, cwd=tmp_path)
-    assert refused.returncode == 2 and "--resume" in refused.stderr
-    outcome = morph(*SMALL, "--resume", "--json", cwd=tmp_path)
-    assert outcome.returncode == 0, outcome.stderr
 def test_ctrl_c_without_json_says_what_there_is_and_how_to_continue(tmp_path):
     """How many frames are in which file; its quality is measured at the end of a run alone."""
     process = start_and_wait_for("frame 0 ", *SMALL, cwd=tmp_path)
@@ -151,6 +151,16 @@ def test_ctrl_c_without_json_says_what_there_is_and_how_to_continue(tmp_path):
         assert printed.startswith(f"{stopped.frame_count} frames ")
 
 
+def test_a_killed_run_resumes_bit_for_bit(unbroken, tmp_path):
+    """SIGKILL gives no chance to tidy up, and costs at most the frame in progress."""
+    folder, document, _ = unbroken
+    process = start_and_wait_for("frame 0 ", *SMALL, cwd=tmp_path)
+    process.kill()
+    process.communicate(timeout=120)
+    refused = morph(*SMALL, cwd=tmp_path)
+    assert refused.returncode == 2 and "--resume" in refused.stderr
+    outcome = morph(*SMALL, "--resume", "--json", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
     assert np.array_equal(
         frames_of(tmp_path / document["out"]), frames_of(folder / document["out"])
     )
