@@ -36,9 +36,12 @@ def keep_in(folder: Path | None) -> None:
     _folder = folder
 
 
-def user_folder() -> Path:
-    """Where the commands of a user keep them."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "chamfer-morph"
+def user_folder() -> Path | None:
+    """Where the commands of a user keep them; None for a user without a home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "chamfer-morph"
+    except RuntimeError:
+        return None
 
 
 def kept(name: str, inputs: tuple[Any, ...], compute: Callable[[], Arrays]) -> Arrays:

@@ -95,6 +95,20 @@ def test_a_folder_that_cannot_be_made_costs_nothing(tmp_path: Path) -> None:
         keep_in(None)
 
 
+def test_a_user_without_a_home_keeps_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container whose user has no entry; unless XDG_CACHE_HOME says where."""
+
+    def homeless(uid: int) -> None:
+        raise KeyError(uid)
+
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("pwd.getpwuid", homeless)
+    assert kept_results.user_folder() is None
+    monkeypatch.setenv("XDG_CACHE_HOME", "/cache")
+    assert kept_results.user_folder() == Path("/cache/chamfer-morph")
+
+
 def test_the_oldest_go_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those used longest ago, beyond the size that all may have."""
     double = Doubling()
