@@ -52,6 +52,11 @@ class CameraKey:
             raise ConfigError(
                 f"A camera key is at the time {self.share:g}.", "Times go from 0 to 1."
             )
+        if not np.isfinite(self.view.azimuth):
+            raise ConfigError(
+                f"A camera key has the azimuth {self.view.azimuth:g}.",
+                "Give a finite number of degrees.",
+            )
         if not (abs(self.view.elevation) <= 90 and 0.1 <= self.view.zoom <= 100):
             raise ConfigError(
                 f"A camera key has the elevation {self.view.elevation:g} and the zoom "

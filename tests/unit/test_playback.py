@@ -283,6 +283,11 @@ def test_a_moving_mesh_keeps_the_time(loop: Path, tmp_path: Path) -> None:
         (lambda run, to: check("pc2", surface=True), "tracked surfaces only"),
         (lambda run, to: CameraKey(1.5, View()), "from 0 to 1"),
         (lambda run, to: CameraKey(1, View(elevation=95)), "-90 to 90"),
+        (lambda run, to: CameraKey(np.nan, View()), "from 0 to 1"),
+        (lambda run, to: CameraKey(0, View(azimuth=np.nan)), "azimuth nan"),
+        (lambda run, to: CameraKey(0, View(azimuth=-np.inf)), "azimuth -inf"),
+        (lambda run, to: CameraKey(0, View(elevation=np.nan)), "-90 to 90"),
+        (lambda run, to: CameraKey(0, View(zoom=np.nan)), "from 0.1 to 100"),
         (lambda run, to: CameraPath(keys=2 * (CameraKey(0, View()),)), "same time"),
     ],
 )
