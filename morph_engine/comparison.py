@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 import trimesh
@@ -235,7 +236,7 @@ def _load(shape: Comparable, frame: int) -> _Shape:
         return _Shape(points=np.asarray(shape))
     path = Path(shape)
     suffix = path.suffix.lower()
-    if suffix == ".vtkhdf":
+    if suffix == ".vtkhdf" or h5py.is_hdf5(path):
         with Trajectory(path) as run:
             return _of_run(run, frame)
     if suffix in (".npy", ".csv", ".txt", ".xyz") or (suffix == ".ply" and _is_bare_cloud(path)):

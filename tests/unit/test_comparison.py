@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -186,6 +187,14 @@ def test_a_result_has_its_own_target(result: Path) -> None:
         assert compare(run, spacing=0.4) == compare(result, spacing=0.4)
         assert compare(run, spacing=0.4).values == expected[1]
         assert compare(result, frame=0, spacing=0.4).values == expected[0]
+
+
+def test_a_result_is_known_by_its_content(result: Path, tmp_path: Path) -> None:
+    """Its file may have any name, and one without an ending."""
+    for name in ("result", "result.h5"):
+        copy = tmp_path / name
+        shutil.copy(result, copy)
+        assert compare(copy, spacing=0.4) == compare(result, spacing=0.4)
 
 
 def test_escaped_is_what_has_left_the_domain_of_the_run(tmp_path: Path) -> None:
