@@ -59,14 +59,15 @@ def _arrays(mesh: Mesh) -> kept_results.Arrays:
 def resolve_shape(spec: str) -> Mesh:
     """Turn what a user typed into a mesh: a built-in name, `text:...` or the path of a file.
 
-    Built-in shapes are in grid units, others in the coordinates of their files.
+    Built-in shapes are in grid units, others in the coordinates of their files. A file without an
+    ending of meshes does not hide a built-in shape of its name.
 
     Raises:
         MeshError: It is neither, or the mesh is unusable.
         ExtraError: It is a text, and what draws it is not installed.
     """
-    is_file = Path(spec).is_file() or Path(spec).suffix[1:].lower() in FORMATS
-    if spec.startswith(TEXT_PREFIX) or not is_file:
+    known = Path(spec).suffix[1:].lower() in FORMATS
+    if spec.startswith(TEXT_PREFIX) or spec in _SHAPES or not (known or Path(spec).is_file()):
         return make(spec)
     return load_mesh(spec)
 

@@ -165,11 +165,13 @@ def test_resolve_reads_files_and_built_ins(tmp_path):
     assert resolve_shape("sphere").name == "sphere"
 
 
-def test_a_folder_hides_no_built_in_shape(tmp_path, monkeypatch):
+def test_a_folder_or_a_file_that_is_no_mesh_hides_no_built_in_shape(tmp_path, monkeypatch):
     """An export may have made one of that name."""
     (tmp_path / "star").mkdir()
+    (tmp_path / "sphere").touch()
     monkeypatch.chdir(tmp_path)
-    assert resolve_shape("star").name == "star"
+    assert resolve_shape("star").built_in
+    assert resolve_shape("sphere").built_in
 
 
 def test_same_shape_same_digest():
