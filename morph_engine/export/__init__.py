@@ -18,7 +18,7 @@ from morph_engine.rendering.picture_options import PictureOptions
 from morph_engine.rendering.video_encoder import check_rate
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.run_record import Units
-from morph_engine.results.selection import Selection, check_snap
+from morph_engine.results.selection import Selection, check_snap, frame_list
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import (
     Trajectory,
@@ -130,7 +130,7 @@ def export(
             correspond, see `results.tracked_surface`. It is the surface.
         texture: Edge of the picture that holds the colours of a tracked surface [pixels], 64 to
             4096; None for colours at its corners.
-        fps: Frames per second of an animation, 24 by default and 12 in videos.
+        fps: Frames per second of an animation, 0.01 to 1000; 24 by default and 12 in videos.
         timing: Duration, rests, pace and repetition of a video, of a tracked surface or of a page,
             of all frames; it has frames per second of its own.
         picture: How pictures and videos are drawn; None for the usual way.
@@ -151,7 +151,7 @@ def export(
         MeshError: The particles of a frame enclose nothing.
     """
     chosen, path = find(format), Path(path)
-    frames = (frames,) if isinstance(frames, int) else frames
+    frames = frame_list(frames)
     fields = (fields,) if isinstance(fields, str) else tuple(fields)
     if units not in get_args(Units):
         raise ConfigError(
@@ -240,7 +240,8 @@ def check(
         _check_texture(format, texture, tracked=tracked)
     if picture:
         _check_picture(chosen, picture)
-    if rate := timing.fps if timing else fps:
+    rate = timing.fps if timing else fps
+    if rate is not None:
         check_rate(format, rate)
     if timing and frames is not None:
         raise ConfigError(
@@ -324,6 +325,4 @@ def _indices(
         raise ResultError(f"{trajectory.path} has no frames.", "Resume the run first.")
     if frames is None:
         return tuple(range(trajectory.frame_count))[-1 if only_last else 0 :]
-    if not frames:
-        raise ConfigError("No frame was requested.", "Request at least one.")
     return tuple(dict.fromkeys(trajectory.index(frame) for frame in frames))

@@ -33,7 +33,7 @@ from morph_engine.rendering.video_encoder import (
 from morph_engine.results.fields import FIELDS
 from morph_engine.results.fields import find as find_field
 from morph_engine.results.playback import Playback
-from morph_engine.results.selection import Selection, check_snap
+from morph_engine.results.selection import Selection, check_snap, frame_list
 from morph_engine.results.timeline import Timing
 from morph_engine.results.trajectory import (
     Trajectory,
@@ -320,7 +320,7 @@ def video(
     snap: bool = False,
     size: Size = (960, 720),
     fps: float = 12.0,
-    frames: Sequence[int] | None = None,
+    frames: Sequence[int] | int | None = None,
     up: Up | None = None,
     kind: VideoKind | None = None,
     timing: Timing | None = None,
@@ -345,8 +345,8 @@ def video(
         snap: Draw the surface of the first and last frames to the meshes of source and target,
             where it is near to them.
         size: Width and height [pixels], even numbers up to 4096.
-        fps: Frames per second, without a timing.
-        frames: Indices of the frames; None means all.
+        fps: Frames per second, 0.01 to 1000, without a timing.
+        frames: Indices of the frames, or of a single one; None means all.
         up: The upward axis; None for that of the source.
         kind: ``mp4``, ``webm`` (VP9), ``mov`` (ProRes 4444), ``gif``, or ``png`` for a file per
             picture in a zip archive; by the path's ending when not given.
@@ -366,7 +366,7 @@ def video(
         ResultError: The result is damaged, lacks a frame or the field, or would be replaced.
         MeshError: The particles of a frame enclose nothing.
     """
-    path = Path(path)
+    path, frames = Path(path), frame_list(frames)
     check_replaces_no_result(result, path)
     folder = not path.suffix and kind in (None, "png")
     still = path.suffix.lower() == ".png" and kind is None

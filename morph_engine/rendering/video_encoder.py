@@ -74,6 +74,9 @@ BT_709 = 1
 LIMITED_RANGE = 1
 """Of luma from 16 to 235, as players expect."""
 
+LEAST_RATE, LARGEST_RATE = 0.01, 1000.0
+"""Frames per second that a file can say."""
+
 FASTEST_GIF = 50.0
 """Most frames per second of a GIF: browsers play a frame of 10 ms or less as one of 100 ms."""
 
@@ -82,11 +85,16 @@ TRANSPARENT_KINDS: tuple[VideoKind, ...] = ("png", "webm", "mov")
 
 
 def check_rate(kind: str, fps: float) -> None:
-    """Refuse what players would not play at its rate.
+    """Refuse what is no rate, or what players would not play at its rate.
 
     Raises:
-        ConfigError: There are too many frames per second.
+        ConfigError: There are too few or too many frames per second.
     """
+    if not LEAST_RATE <= fps <= LARGEST_RATE:
+        raise ConfigError(
+            f"{fps:g} frames per second is out of range.",
+            f"Use {LEAST_RATE:g} to {LARGEST_RATE:g}.",
+        )
     if kind == "gif" and fps > FASTEST_GIF:
         raise ConfigError(
             f"Browsers play a GIF of {fps:g} frames per second several times slower.",

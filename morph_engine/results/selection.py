@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
@@ -48,6 +48,23 @@ def check_snap(*, surface: bool, snap: bool) -> None:
             "Only a surface can be snapped to the meshes, and none was requested.",
             "Request a surface (`surface`), or omit `snap`.",
         )
+
+
+def frame_list(frames: Iterable[int] | int | None) -> tuple[int, ...] | None:
+    """Indices of frames as a caller names them: several, a single one, or None for all.
+
+    Raises:
+        ConfigError: There are none.
+    """
+    if frames is None:
+        return None
+    try:
+        chosen = tuple(frames)  # type: ignore[arg-type]
+    except TypeError:  # a single one
+        chosen = (frames,)  # type: ignore[assignment]
+    if not chosen:
+        raise ConfigError("No frame was requested.", "Request at least one.")
+    return chosen
 
 
 @dataclass(frozen=True, eq=False)

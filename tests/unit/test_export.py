@@ -128,6 +128,17 @@ def test_a_single_frame_and_a_single_field_need_no_list(trajectory, tmp_path):
     assert alone.read_bytes() == listed.read_bytes()
 
 
+@pytest.mark.parametrize("frames", [np.int64(1), np.arange(1, 2), range(1, 2), np.array(1)])
+def test_frames_may_be_numbers_of_numpy(trajectory, tmp_path, frames):
+    """They give the same file as a list of Python's own, and the same picture."""
+    for name, write in (
+        ("ply", lambda path, which: export(trajectory, path, "ply", frames=which)),
+        ("png", lambda path, which: video(trajectory, path, frames=which, size=(64, 48))),
+    ):
+        found = write(tmp_path / f"a.{name}", frames).read_bytes()
+        assert found == write(tmp_path / f"b.{name}", [1]).read_bytes()
+
+
 def test_a_folder_may_have_a_dot_in_its_name(trajectory, tmp_path):
     """What is no ending of a format is none."""
     for name in ("v1.5", "of.monday"):
@@ -340,6 +351,11 @@ def test_endings():
         ("a.zip", "html", {}, ConfigError, "contradicts"),
         ("a.png", "png", {}, ConfigError, r"contradicts.*\.zip"),
         ("a.vtkhdf", "ply", {}, ConfigError, "contradicts"),
+        ("a.ply", "ply", {"frames": []}, ConfigError, "No frame"),
+        ("a.usdc", "usd", {"fps": 0}, ConfigError, "0 frames per second"),
+        ("a.usdc", "usd", {"fps": -24}, ConfigError, "-24 frames per second"),
+        ("a.gif", "gif", {"fps": np.nan}, ConfigError, "nan frames per second"),
+        ("a.mp4", "mp4", {"fps": np.inf}, ConfigError, "inf frames per second"),
     ],
 )
 def test_refusals_leave_no_file(trajectory, tmp_path, name, format, options, error, words):

@@ -410,6 +410,24 @@ def test_a_gif_that_browsers_would_slow_down_is_refused(small_result, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("fps", [0, -12, np.nan, np.inf])
+def test_a_rate_that_is_none_is_refused(small_result, tmp_path, fps):
+    """Before anything is drawn, whatever the kind."""
+    for name in ("egg.gif", "egg.mp4", "pictures"):
+        with pytest.raises(ConfigError, match="frames per second is out of range"):
+            video(small_result, tmp_path / name, size=SMALL, fps=fps)
+    assert not list(tmp_path.iterdir())
+
+
+def test_frames_of_a_video_are_one_or_several(small_result, tmp_path):
+    """A single one needs no list, and none is refused."""
+    alone = video(small_result, tmp_path / "a.gif", frames=1, size=SMALL)
+    listed = video(small_result, tmp_path / "b.gif", frames=[1], size=SMALL)
+    assert alone.read_bytes() == listed.read_bytes()
+    with pytest.raises(ConfigError, match="No frame"):
+        video(small_result, tmp_path / "c.gif", frames=[], size=SMALL)
+
+
 def test_gif_turns_the_surface(small_result, tmp_path):
     """Two frames from two sides, the last one resting for a second: three seconds in all."""
     path = video(
