@@ -52,7 +52,13 @@ _VIDEOS = (video.MP4, video.WEBM, video.MOV, video.GIF, video.PNG)
 FORMATS: dict[str, Format] = {known.name: known for known in (*_ALL, *_VIDEOS)}
 
 
-_ENDINGS = {known.suffix for known in FORMATS.values()} | {".gltf", ".png", ".vtkhdf"}
+_OTHER_ENDINGS = {
+    ".3mf", ".abc", ".blend", ".dae", ".fbx", ".gltf", ".jpeg", ".jpg", ".ksplat", ".off", ".png",
+    ".splat", ".spz", ".usda", ".usdz", ".vtk", ".vtkhdf", ".vtp", ".webp", ".x3d", ".xyz",
+}  # fmt: skip
+"""Of files that are not written here, so that no folder is meant by them, either."""
+
+_ENDINGS = {known.suffix for known in FORMATS.values()} | _OTHER_ENDINGS
 """What tells a reader that a file is of one format, and not of another."""
 
 
