@@ -20,7 +20,7 @@ from morph_engine.export.gltf import (
     unit_normals,
 )
 from morph_engine.export.vertex_light import vertex_light
-from morph_engine.results.selection import Selection, Snapshot
+from morph_engine.results.selection import Selection, Snapshot, known_points
 from morph_engine.srgb import CLAY, Light
 
 POINTS = 0
@@ -37,11 +37,14 @@ def write(selection: Selection, path: Path) -> None:
 
 
 def to_bytes(snapshot: Snapshot) -> bytes:
-    """The file of one frame."""
+    """The file of one frame.
+
+    Raises:
+        MeshError: All its particles are lost.
+    """
     file = GltfFile()
     vertices = snapshot.vertices.astype(np.float32)
-    # glTF has no points that are nowhere
-    known = np.isfinite(vertices).all(axis=1)
+    known = known_points(vertices, snapshot.frame)  # glTF has no points that are nowhere
     attributes = {"POSITION": file.array(vertices[known], bounds=True, target=ARRAY_BUFFER)}
     primitive = {"attributes": attributes, "mode": POINTS}
     light = vertex_light(snapshot)

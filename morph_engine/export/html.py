@@ -21,13 +21,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from morph_engine.errors import ResultError
+from morph_engine.errors import MeshError, ResultError
 from morph_engine.export.format import Format
-from morph_engine.geometry.surface_reconstruction import Surface
+from morph_engine.geometry.surface_reconstruction import Surface, are_near_the_middle
 from morph_engine.geometry.surface_tracking import SurfaceTracker
 from morph_engine.optimal_transport.plan import transport_plan
 from morph_engine.results.playback import picture_table
-from morph_engine.results.selection import Selection
+from morph_engine.results.selection import Selection, known_points
 from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface, track_surface
 from morph_engine.results.trajectory import Trajectory
 
@@ -131,16 +131,20 @@ def is_quick(trajectory: Trajectory, frames: Sequence[int] | None = None) -> boo
 
 
 def embedded(trajectory: Trajectory) -> str | None:
-    """A viewer to be put into another page, such as a notebook; None where it is not built.
+    """A viewer to be put into another page, such as a notebook.
 
-    It shows the surface where that is quick, and else the particles alone.
+    None where it is not built, or the particles of a frame are lost. It shows the surface where
+    that is quick, and else the particles alone.
     """
     selection = Selection(trajectory, tuple(range(trajectory.frame_count)))
     if not selection.frames or not VIEWER.is_dir():
         return None
     if is_quick(trajectory):
         selection = replace(selection, surface=True, tracked=True)
-    whole = page(selection, most_bytes=NOTEBOOK_BYTES)
+    try:
+        whole = page(selection, most_bytes=NOTEBOOK_BYTES)
+    except MeshError:
+        return None
     return FRAME.format(page=html.escape(whole), title=html.escape(_title(trajectory)))
 
 
@@ -155,12 +159,13 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
 
     Raises:
         ResultError: The viewer is not built, or a frame is damaged.
-        MeshError: The particles of a frame enclose nothing.
+        MeshError: The particles of a frame are lost, or enclose nothing.
     """
     script, style, licenses = map(_built, ("viewer.js", "viewer.css", "licenses.txt"))
     selection = replace(selection, units="grid")
     frames = tuple(sorted(set(selection.frames)))
     trajectory = selection.trajectory
+    within = _within_reach(trajectory, frames)
     timing = picture_table(trajectory, selection.timing) if selection.timing else None
     room = most_bytes - len(json.dumps(timing))
     closes = timing is not None and "closing" in timing
@@ -175,10 +180,8 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
         room -= sum(_size(mesh) for mesh in surface.meshes)
         room -= closes * moving * surface.meshes[-1].vertices.shape[1]
     count = trajectory.run.particle_count
-    shown = _some(count, max(room // (moving * stored), 1))
+    shown = within[_some(len(within), max(room // (moving * stored), 1))]
     points = np.stack([selection.placed(trajectory.positions(f)[shown], f) for f in frames])
-    finite = np.isfinite(points).all(axis=(0, 2))  # lost particles are nowhere
-    points, shown = points[:, finite], shown[finite]
     colors = None
     if trajectory.colors is not None:
         found = [selection.particle_colors(frame) for frame in frames]
@@ -284,6 +287,28 @@ def _size(mesh: TrackedMesh) -> int:
 
 def _title(trajectory: Trajectory) -> str:
     return " to ".join(trajectory.run.names)
+
+
+def _within_reach(trajectory: Trajectory, frames: Sequence[int]) -> npt.NDArray[np.intp]:
+    """Indices of the particles that a viewer can show in all frames.
+
+    Those that are lost are nowhere, and one far away would leave the others no digits.
+
+    Raises:
+        MeshError: There are none.
+    """
+    within = np.ones(trajectory.particle_count, np.bool_)
+    for frame in frames:
+        positions = trajectory.positions(frame)
+        here = known_points(positions, frame)
+        known = np.flatnonzero(here)
+        here[known] = are_near_the_middle(
+            positions[known].astype(np.float64), trajectory.config.spacing
+        )
+        within &= here
+    if not within.any():
+        raise MeshError("Each particle is lost in one of the frames.", "Choose other frames.")
+    return np.flatnonzero(within)
 
 
 def _some(count: int, most: int) -> npt.NDArray[np.int64]:

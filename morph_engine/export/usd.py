@@ -12,7 +12,7 @@ from morph_engine import srgb
 from morph_engine.export.format import Format
 from morph_engine.export.gltf import ROUGHNESS
 from morph_engine.optional_packages import load
-from morph_engine.results.selection import Selection, Snapshot
+from morph_engine.results.selection import Selection, Snapshot, known_points
 from morph_engine.results.tracked_surface import track_surface
 
 MATERIAL = "/morph/material"
@@ -105,11 +105,15 @@ def _sample(UsdGeom: Any, shape: Any, snapshot: Snapshot) -> None:
 
 
 def _vertices(UsdGeom: Any, shape: Any, positions: Floats, normals: Floats, time: int) -> None:
-    """Set positions, their bounds and, if there are any, normals of one frame."""
+    """Set positions, their bounds and, if there are any, normals of one frame.
+
+    Raises:
+        MeshError: All its particles are lost.
+    """
     Vt = load("pxr.Vt", extra="usd", purpose="USD")
     vertices = positions.astype(np.float32)
+    known = known_points(vertices, time)
     shape.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(vertices), time)
-    known = np.isfinite(vertices).all(axis=1)
     extent = np.stack([vertices[known].min(axis=0), vertices[known].max(axis=0)])
     shape.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), time)
     if len(normals):

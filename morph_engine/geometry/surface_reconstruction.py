@@ -170,10 +170,15 @@ def near_the_middle(points: Points, spacing: float) -> Points:
     Returns:
         The near ones [dx], shape [k, 3], in the same order.
     """
+    return points[are_near_the_middle(points, spacing)]
+
+
+def are_near_the_middle(points: Points, spacing: float) -> npt.NDArray[np.bool_]:
+    """Which points have not escaped, shape [n]; arguments as for `near_the_middle`."""
     if not len(points):
-        return points
+        return np.zeros(0, np.bool_)
     from_middle = np.abs(points - np.median(points, axis=0))
-    return points[(from_middle < REACH_OVER_H * spacing).all(axis=1)]
+    return np.asarray((from_middle < REACH_OVER_H * spacing).all(axis=1))
 
 
 def surface_deviation(surface: Surface, target_mesh: Mesh) -> dict[str, float]:

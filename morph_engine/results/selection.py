@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from morph_engine import srgb
-from morph_engine.errors import ConfigError
+from morph_engine.errors import ConfigError, MeshError
 from morph_engine.geometry.surface_reconstruction import Surface, reconstruct_surface
 from morph_engine.geometry.surface_snapping import snapped_to
 from morph_engine.geometry.topology import vertex_normals
@@ -65,6 +65,18 @@ def frame_list(frames: Iterable[int] | int | None) -> tuple[int, ...] | None:
     if not chosen:
         raise ConfigError("No frame was requested.", "Request at least one.")
     return chosen
+
+
+def known_points(positions: npt.NDArray[np.floating], frame: int) -> npt.NDArray[np.bool_]:
+    """Which points of a frame, shape [n, 3], are not lost, shape [n].
+
+    Raises:
+        MeshError: All of them are.
+    """
+    known: npt.NDArray[np.bool_] = np.isfinite(positions).all(axis=1)
+    if not known.any():
+        raise MeshError(f"There are no particles in frame {frame}.", "Choose other frames.")
+    return known
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,13 +14,14 @@ import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
-from morph_engine.errors import ConfigError, ExtraError, ResultError
-from morph_engine.export import FORMATS, export, suffix
+from morph_engine.errors import ConfigError, ExtraError, MeshError, ResultError
+from morph_engine.export import FORMATS, export, html, suffix
 from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.geometry.topology import vertex_normals
 from morph_engine.rendering.pictures import video
 from morph_engine.results.fields import FIELDS
-from morph_engine.results.trajectory import Trajectory
+from morph_engine.results.spool import Spool
+from morph_engine.results.trajectory import Trajectory, write_result
 
 TOLERANCE = 1e-5  # in the user's units, where the egg is 4 long and 37 from the origin
 
@@ -137,6 +138,33 @@ def test_frames_may_be_numbers_of_numpy(trajectory, tmp_path, frames):
     ):
         found = write(tmp_path / f"a.{name}", frames).read_bytes()
         assert found == write(tmp_path / f"b.{name}", [1]).read_bytes()
+
+
+@pytest.fixture
+def all_lost(small_result, tmp_path):
+    """A result whose second frame has no particle with a position."""
+    path = tmp_path / "lost.vtkhdf"
+    with Trajectory(small_result) as run, Spool.create(path, run.run) as spool:
+        for frame in range(2):
+            places = run.positions(frame)
+            spool.append(frame, np.full_like(places, np.nan) if frame else places, {"s2t": 1.0})
+        write_result(spool, status="complete")
+        spool.remove()
+    with Trajectory(path) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize(
+    ("name", "format"), [("a.glb", "glb"), ("a.usdc", "usd"), ("a.html", "html"), ("all", "glb")]
+)
+def test_a_frame_whose_particles_are_all_lost_is_refused(all_lost, tmp_path, name, format):
+    """With its number; other frames can be exported."""
+    if format == "html" and not html.VIEWER.is_dir():
+        pytest.skip("the viewer is not built")
+    with pytest.raises(MeshError, match="no particles in frame 1"):
+        export(all_lost, tmp_path / name, format)
+    assert not (tmp_path / name).exists()
+    assert export(all_lost, tmp_path / name, format, frames=[0]).exists()
 
 
 def test_a_folder_may_have_a_dot_in_its_name(trajectory, tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from morph_engine.errors import ResultError
+from morph_engine.errors import MeshError, ResultError
 from morph_engine.export import export, html
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.placement import Placement
@@ -105,6 +105,34 @@ def test_lost_particles_are_left_out(built: Path, tmp_path: Path) -> None:
     step = about["scale"] / html.LEVELS
     found = np.array(about["offset"]) + step * unpacked(arrays(page), 2, 49)
     np.testing.assert_allclose(found[1], np.delete(points, 7, axis=0), atol=0.51 * step)
+
+
+def test_a_particle_far_away_is_left_out(built: Path, tmp_path: Path) -> None:
+    """In 16 bits all others would have one place."""
+    points = np.random.default_rng(2).uniform(-5, 5, (50, 3)).astype(np.float32)
+    stray = points.copy()
+    stray[7] = 1e6
+    record = RunRecord(configure("fast", {"frames": 2}), points, points, points, points)
+    with Trajectory(stored(tmp_path / "r.vtkhdf", record, iter([points, stray]))) as run:
+        page = html.page(Selection(run, (0, 1)))
+    about = json.loads(re.findall(r'id="about">([^<]*)<', page)[0])
+    assert about["points"]["count"] == 49
+    assert about["scale"] < 10
+    assert "(49 shown)" in page
+
+
+def test_where_no_particle_is_left_there_is_no_viewer(built: Path, tmp_path: Path) -> None:
+    """An export says which frame is empty, a notebook shows the object without a viewer."""
+    points = np.random.default_rng(2).uniform(-5, 5, (50, 3)).astype(np.float32)
+    halves = [points.copy(), points.copy()]
+    halves[0][:25] = halves[1][25:] = np.nan
+    record = RunRecord(configure("fast", {"frames": 2}), points, points, points, points)
+    lost = [points, np.full_like(points, np.nan)]
+    for name, frames, words in (("all", lost, "in frame 1"), ("halves", halves, "Each particle")):
+        with Trajectory(stored(tmp_path / f"{name}.vtkhdf", record, iter(frames))) as run:
+            with pytest.raises(MeshError, match=words):
+                html.page(Selection(run, (0, 1)))
+            assert run._repr_html_() is None
 
 
 def test_a_file_is_below_15_mb_whatever_it_shows(built: Path, tmp_path: Path) -> None:
