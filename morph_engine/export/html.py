@@ -28,7 +28,12 @@ from morph_engine.geometry.surface_tracking import SurfaceTracker
 from morph_engine.optimal_transport.plan import transport_plan
 from morph_engine.results.playback import picture_table
 from morph_engine.results.selection import Selection, known_points
-from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface, track_surface
+from morph_engine.results.tracked_surface import (
+    TrackedMesh,
+    TrackedSurface,
+    still_surface,
+    track_surface,
+)
 from morph_engine.results.trajectory import Trajectory
 
 Floats = npt.NDArray[np.float64]
@@ -172,11 +177,11 @@ def page(selection: Selection, *, most_bytes: int = MOST_BYTES) -> str:
     stored = len(frames) + closes
     moving = POSITION_BYTES + COLOR_BYTES * (trajectory.colors is not None)
     surface = None
-    if selection.tracked and len(frames) > 1:
+    if selection.tracked:
         still = MESHES * TRIANGLES_PER_VERTEX * TRIANGLE_BYTES
-        surface = track_surface(
-            selection, vertex_limit=room // 2 // (moving * (stored + 1) + still)
-        )
+        limit = room // 2 // (moving * (stored + 1) + still)
+        follow = track_surface if len(frames) > 1 else still_surface
+        surface = follow(selection, vertex_limit=limit)
         room -= sum(_size(mesh) for mesh in surface.meshes)
         room -= closes * moving * surface.meshes[-1].vertices.shape[1]
     count = trajectory.run.particle_count

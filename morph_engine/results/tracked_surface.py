@@ -146,6 +146,20 @@ def track_surface(selection: Selection, *, vertex_limit: int | None = None) -> T
     return TrackedSurface(tuple(meshes), changes_at)
 
 
+def still_surface(selection: Selection, *, vertex_limit: int | None = None) -> TrackedSurface:
+    """The surface of a selection of one frame, in which nothing moves.
+
+    Arguments and errors as of `track_surface`, without textures.
+    """
+    (frame,) = selection.frames
+    positions = np.asarray(selection.trajectory.positions(frame), np.float64)
+    spacing = selection.trajectory.run.spacing_of(positions)
+    found = reconstruct_surface(positions, spacing, cell_over_h=CELL_OVER_H)
+    found = _with_fewer(found, positions, spacing, vertex_limit)
+    track = _Track(found.faces, found.vertices[None], np.zeros(1))
+    return TrackedSurface((_placed(selection, track, [0], frame, [spacing]),), None)
+
+
 def _followed(
     order: Sequence[int],
     positions: Sequence[Floats],

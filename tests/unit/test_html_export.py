@@ -18,13 +18,14 @@ from morph_engine.export import export, html
 from morph_engine.geometry.mesh import load_mesh
 from morph_engine.geometry.placement import Placement
 from morph_engine.geometry.sampling import Similarity
+from morph_engine.geometry.surface_reconstruction import reconstruct_surface
 from morph_engine.morphing import prepare
 from morph_engine.presets import configure
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.selection import Selection
 from morph_engine.results.spool import Spool
 from morph_engine.results.timeline import Timing
-from morph_engine.results.tracked_surface import TrackedMesh, TrackedSurface
+from morph_engine.results.tracked_surface import CELL_OVER_H, TrackedMesh, TrackedSurface
 from morph_engine.results.trajectory import Trajectory, write_result
 
 
@@ -133,6 +134,28 @@ def test_where_no_particle_is_left_there_is_no_viewer(built: Path, tmp_path: Pat
             with pytest.raises(MeshError, match=words):
                 html.page(Selection(run, (0, 1)))
             assert run._repr_html_() is None
+
+
+def test_a_single_frame_has_its_surface_if_it_is_asked_for(
+    small_result: Path, built: Path, tmp_path: Path
+) -> None:
+    """As one mesh in which nothing moves."""
+    path = export(small_result, tmp_path / "view.html", "html", frames=1, tracked=True)
+    page = path.read_text(encoding="utf-8")
+    about = json.loads(re.findall(r'id="about">([^<]*)<', page)[0])
+    (surface,) = about["surfaces"]
+    assert surface["frames"] == [0]
+    with Trajectory(small_result) as run:
+        expected = reconstruct_surface(run.positions(1), 0.5, cell_over_h=CELL_OVER_H)
+        begin = 6 * run.particle_count
+    assert (surface["count"], surface["triangles"]) == (
+        len(expected.vertices),
+        len(expected.faces),
+    )
+    levels = unpacked(arrays(page)[begin : begin + 6 * surface["count"]], 1, surface["count"])
+    step = about["scale"] / html.LEVELS
+    found = np.array(about["offset"]) + step * levels[0]
+    np.testing.assert_allclose(found, expected.vertices, atol=0.51 * step)
 
 
 def test_a_file_is_below_15_mb_whatever_it_shows(built: Path, tmp_path: Path) -> None:
