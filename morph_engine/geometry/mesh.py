@@ -17,7 +17,7 @@ import numpy.typing as npt
 from morph_engine.errors import MeshError
 from morph_engine.geometry.file_colors import Part, read_colors
 from morph_engine.geometry.gltf_file import gltf_header, plain_gltf
-from morph_engine.geometry.mesh_archive import Companions, read_archive, self_contained_gltf
+from morph_engine.geometry.mesh_archive import Companions, mesh_content, read_archive
 from morph_engine.geometry.mesh_colors import MeshColors
 from morph_engine.geometry.obj_file import has_vertex_colors, plain_obj
 from morph_engine.geometry.orientation import reversed_faces
@@ -344,8 +344,7 @@ def _content(data: bytes, name: str, kind: str) -> tuple[bytes, str, Companions 
         return data, kind, None
     path, members = read_archive(data, name, PLAIN_FORMATS, FILE_BYTES_LIMIT)
     kind = Path(path).suffix[1:].lower()
-    content = self_contained_gltf(path, members) if kind == "gltf" else members[path]
-    return content, kind, Companions(members, path)
+    return mesh_content(path, members), kind, Companions(members, path)
 
 
 def _parse(

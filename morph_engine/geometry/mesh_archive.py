@@ -5,10 +5,13 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import PurePosixPath
 from typing import Any
+from unicodedata import normalize
 from urllib.parse import unquote
 
 from morph_engine.errors import MeshError
@@ -21,6 +24,12 @@ HIDDEN = ("__MACOSX", ".")
 """What systems put into archives beside the user's files begins so."""
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+
+UTF_8_NAME = 0x800
+"""Flag of a file whose name is in UTF-8; macOS writes such names without it."""
+
+REFERENCE_LIMIT = 500
+"""Most characters at the end of a picture's options and path in which the path is looked for."""
 
 Members = Mapping[str, bytes]
 """The files of an archive by their paths in it."""
@@ -80,8 +89,17 @@ def _unpacked(archive: zipfile.ZipFile, name: str, limit: int) -> Members:
                 f"{name} contains more than {limit >> 20} MiB.",
                 "Decimate the mesh and scale its textures down.",
             )
-        members[info.filename.replace("\\", "/")] = content
+        members[_name(info)] = content
     return members
+
+
+def _name(info: zipfile.ZipInfo) -> str:
+    """Path of a file; letters with accents, which macOS takes apart, are one each."""
+    name = info.filename
+    if not info.flag_bits & UTF_8_NAME:
+        with suppress(UnicodeError):  # else it is in the encoding that it says
+            name = name.encode("cp437").decode("utf-8")
+    return normalize("NFC", name.replace("\\", "/"))
 
 
 def _hidden(info: zipfile.ZipInfo) -> bool:
@@ -106,6 +124,7 @@ class Companions:
         self.missing: list[str] = []
         self._members = members
         self._folder = PurePosixPath(mesh).parent
+        self._by_name = {PurePosixPath(p).name.lower(): p for p in sorted(members, reverse=True)}
 
     @property
     def have_pictures(self) -> bool:
@@ -114,18 +133,18 @@ class Companions:
 
     def find(self, reference: str) -> bytes | None:
         """The file that is meant by what the mesh says, such as ``textures/skin.png``."""
-        plain = reference.strip().replace("\\", "/")
-        if plain.startswith("-"):  # options of an MTL's picture
-            plain = plain.split()[-1]
-        for path in (str(self._folder / plain), plain):
-            if path in self._members:
-                return self._members[path]
-        wanted = PurePosixPath(plain).name.lower()
-        same = [p for p in sorted(self._members) if PurePosixPath(p).name.lower() == wanted]
-        if not same:
-            self.missing.append(plain)
-            return None
-        return self._members[same[0]]
+        possible = _possible_paths(normalize("NFC", reference.strip().replace("\\", "/")))
+        by_name: dict[str, list[str]] = {}
+        for path in possible:
+            by_name.setdefault(PurePosixPath(path).name, []).append(path)
+        for wanted, paths in by_name.items():
+            in_folder = [str(self._folder / path) for path in paths]
+            same_name = self._by_name.get(wanted.lower(), "")
+            for path in (*in_folder, *paths, same_name):
+                if path in self._members:
+                    return self._members[path]
+        self.missing.append(possible[-1])
+        return None
 
     def get(self, reference: str) -> bytes:
         """The same.
@@ -139,6 +158,31 @@ class Companions:
         return content
 
     __getitem__ = get
+
+
+def _possible_paths(reference: str) -> list[str]:
+    """What may be the path in a reference: an MTL has options before it, as in ``-s 1 1 1 a.png``.
+
+    Paths have spaces as well, so that only the files tell where it begins.
+    """
+    if not reference.startswith("-"):
+        return [reference]
+    end = reference[-REFERENCE_LIMIT:]
+    return [reference, *(end[word.start() :] for word in re.finditer(r"(?<=\s)\S+", end))]
+
+
+def mesh_content(path: str, members: Members) -> bytes:
+    """A mesh as it is to be read: a glTF with its files, an OBJ without comments on its MTL.
+
+    Raises:
+        MeshError: A buffer of a glTF is not in the archive.
+    """
+    kind = PurePosixPath(path).suffix.lower()
+    if kind == ".gltf":
+        return self_contained_gltf(path, members)
+    if kind == ".obj":  # trimesh takes what follows the first mtllib, wherever it is
+        return re.sub(rb"^[ \t]*#.*mtllib.*$", b"#", members[path], flags=re.MULTILINE)
+    return members[path]
 
 
 def self_contained_gltf(path: str, members: Members) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from unicodedata import normalize
 
 import numpy as np
 import pytest
@@ -73,6 +74,73 @@ def test_an_obj_has_its_picture(tmp_path, reference):
     assert mesh.volume == pytest.approx(64)
     found = colors_of(mesh, [[-1.5, 2, 0.3], [1.5, 2, 0.3]]).astype(int)
     np.testing.assert_allclose(found, [ORANGE, TEAL], atol=1)
+
+
+def stored_plainly(path):
+    """The same archive with its names in UTF-8, but without the flag that says so."""
+    data = bytearray(path.read_bytes())
+    for signature, offset in ((b"PK\3\4", 7), (b"PK\1\2", 9)):
+        at = data.find(signature)
+        while at >= 0:
+            data[at + offset] &= ~0x08
+            at = data.find(signature, at + 1)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_names_with_accents(tmp_path, form):
+    """An archive by macOS has them taken apart, and does not say that they are in UTF-8."""
+    files = {
+        normalize(form, "käse/grün.obj"): box_obj().replace("box.mtl", "grün.mtl"),
+        normalize(form, "käse/grün.mtl"): "newmtl skin\nmap_Kd Bilder/häute.png\n",
+        normalize(form, "käse/Bilder/häute.png"): halves(),
+        normalize(form, "käse/häute.png"): b"another",
+    }
+    for path in (archive(tmp_path / "flag.zip", files), archive(tmp_path / "plain.zip", files)):
+        if path.stem == "plain":
+            stored_plainly(path)
+        mesh = load_mesh(path)
+        assert mesh.repairs == ()
+        found = colors_of(mesh, [[-1.5, 2, 0.3], [1.5, 2, 0.3]]).astype(int)
+        np.testing.assert_allclose(found, [ORANGE, TEAL], atol=1)
+
+
+def test_names_in_another_encoding_are_as_the_archive_says(tmp_path):
+    """Without a flag they are in code page 437, unless they are in UTF-8."""
+    path = archive(tmp_path / "old.zip", {"kase.obj": box_obj(), "kasf.obj": box_obj()})
+    path.write_bytes(path.read_bytes().replace(b"kas", b"k\x84s"))  # an ä
+    assert "käse.obj and käsf.obj" in refusal(path)
+
+
+@pytest.mark.parametrize("options", ["", "-s 1 1 1 ", "-o 0 0 -clamp on "])
+@pytest.mark.parametrize("folder", ["", "C:\\work\\", "all my textures/"])
+def test_a_picture_whose_name_has_spaces(tmp_path, options, folder):
+    """The options before it have spaces as well, and there is another picture of its last word."""
+    files = {
+        "box.obj": box_obj(),
+        "box.mtl": f"newmtl skin\nmap_Kd {options}{folder}my skin.png\n",
+        "skin.png": b"another",
+        "all my textures/my skin.png": halves(),
+    }
+    mesh = load_mesh(archive(tmp_path / "box.zip", files))
+    assert mesh.repairs == ()
+    found = colors_of(mesh, [[-1.5, 2, 0.3], [1.5, 2, 0.3]]).astype(int)
+    np.testing.assert_allclose(found, [ORANGE, TEAL], atol=1)
+
+
+def test_a_comment_names_no_materials(tmp_path):
+    """Whether a line that does follows, or none."""
+    comment = "# made by a tool that writes no mtllib, or one\n  #mtllib other.mtl\r\n"
+    box = comment + box_obj().replace("usemtl skin", "usemtl red")
+    files = {"box.obj": box, "box.mtl": "newmtl red\nKd 0.8 0.2 0.1\n"}
+    mesh = load_mesh(archive(tmp_path / "box.zip", files))
+    assert mesh.repairs == ()
+    np.testing.assert_allclose(colors_of(mesh, [[0, 2, 0.3]])[0], [204, 51, 26], atol=1)
+    files["box.obj"] = box.replace("\nmtllib box.mtl\n", "\n")
+    plain = load_mesh(archive(tmp_path / "plain.zip", files))
+    assert plain.repairs == ()
+    assert plain.colors is None
 
 
 def test_an_obj_has_the_colours_of_its_materials(tmp_path):
