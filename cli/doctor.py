@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -181,7 +182,15 @@ def check_network() -> Finding:
 def check_files() -> Finding:
     """Whether processes that read uploads can be kept from the files of others."""
     command = python_command("chamfer_morph.worker.sandbox.landlock")
-    if subprocess.run(command, check=False).returncode:
+    status = subprocess.run(command, check=False).returncode
+    if sys.platform == "linux" and status == -signal.SIGSYS:
+        return Finding(
+            "files", "fault",
+            "A system call filter forbids Landlock: it kills every process that reads uploads.",
+            "Allow landlock_create_ruleset, landlock_add_rule and landlock_restrict_self in the "
+            "filter, with systemd in SystemCallFilter=.",
+        )  # fmt: skip
+    if status:
         return Finding(
             "files", "warning",
             "Processes that read uploads can read every file that the service can.",
@@ -196,7 +205,7 @@ def check_database(settings: Settings) -> Finding:
     """Whether the database answers, how soon, whether its clock agrees, and its connections.
 
     Raises:
-        ConfigError: It does not answer.
+        DatabaseUnavailableError: It does not answer.
     """
     import sqlalchemy as sa
 

@@ -14,6 +14,24 @@ from chamfer_morph.cli import doctor
 from morph_engine import backend, system_libraries
 from morph_engine.errors import DeviceError
 
+WITHOUT_LANDLOCK = """
+import ctypes, os, struct, sys
+
+def step(code, jump, value):
+    return struct.pack("HBBI", code, 0, jump, value)
+
+# load the number of the call; kill the process where it is landlock_create_ruleset, else allow it
+steps = step(0x20, 0, 0) + step(0x15, 1, 444) + step(0x06, 0, 0x80000000)
+steps += step(0x06, 0, 0x7FFF0000)
+buffer = ctypes.create_string_buffer(steps)
+program = struct.pack("HP", 4, ctypes.addressof(buffer))
+library = ctypes.CDLL(None)
+assert not library.prctl(38, 1, 0, 0, 0)  # PR_SET_NO_NEW_PRIVS
+assert not library.prctl(22, 2, program, 0, 0)  # PR_SET_SECCOMP, SECCOMP_MODE_FILTER
+os.execv(sys.executable, [sys.executable, "-m", "chamfer_morph", *sys.argv[1:]])
+"""
+"""Runs `morph` below a system call filter, as systemd sets one."""
+
 
 def run_doctor(*options: str, **settings: str) -> tuple[int, dict[str, dict[str, str]]]:
     """Exit status and findings by subject."""
@@ -70,6 +88,20 @@ def test_machine_that_lacks_something(
     assert findings[subject]["verdict"] == "fault"
     assert words in findings[subject]["text"]
     assert findings[subject]["remedy"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a filter as systemd sets it")
+def test_a_filter_that_forbids_landlock(tmp_path: Path) -> None:
+    """It would kill every engine, which is more than a lack of Landlock."""
+    outcome = subprocess.run(
+        [sys.executable, "-c", WITHOUT_LANDLOCK, "doctor", "--json", "--no-compute"],
+        env=os.environ | {"MORPH_DATA_DIR": str(tmp_path)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert outcome.returncode == 1, outcome.stderr
+    findings = {each["subject"]: each for each in json.loads(outcome.stdout)["findings"]}
+    assert findings["files"]["verdict"] == "fault"
+    assert "filter" in findings["files"]["text"]
+    assert "landlock_create_ruleset" in findings["files"]["remedy"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes as of POSIX")

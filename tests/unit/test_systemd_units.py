@@ -11,6 +11,7 @@ from chamfer_morph.worker.settings import Settings
 
 UNITS = sorted((Path(__file__).resolve().parents[2] / "docker" / "systemd").glob("*.service"))
 COMPILING = "MemoryDenyWriteExecute"
+LANDLOCK = {"landlock_create_ruleset", "landlock_add_rule", "landlock_restrict_self"}
 
 
 class Unit(configparser.ConfigParser):
@@ -36,6 +37,8 @@ def test_a_unit_starts_a_command_with_known_settings(path):
     settings = {name.removeprefix("MORPH_").lower() for name in names if name.startswith("MORPH_")}
     assert settings and settings <= {*Settings.model_fields}
     assert COMPILING not in service  # kernels are compiled as it runs
+    if "SystemCallFilter" in service:  # whose group has them only since late versions of systemd
+        assert {*service["SystemCallFilter"].split()} >= LANDLOCK
 
 
 def test_there_are_units_for_the_service_and_for_workers():
