@@ -115,15 +115,14 @@ def _api_keys(settings: Settings) -> ApiKeyStore:
 
 
 def _manage_keys(arguments: argparse.Namespace, api_keys: ApiKeyStore) -> int:
-    from chamfer_morph.server.http.audit import log_command
-
     if arguments.action == "list":
         keys = [key.model_dump(mode="json") for key in api_keys.all()]
         sys.stdout.write(json.dumps(keys, indent=2) + "\n")
         return 0
     if arguments.action == "remove":
         if api_keys.remove(arguments.name):
-            log_command("revokeKey", f"/v1/keys/{arguments.name}")
+            path = f"/v1/keys/{arguments.name}"
+            service_log.log_change("command", "revokeKey", path=path)
             return 0
         sys.stderr.write(f"There is no key {arguments.name!r}.\n")
         return BAD_INPUT
@@ -143,8 +142,10 @@ def _manage_keys(arguments: argparse.Namespace, api_keys: ApiKeyStore) -> int:
     if made is None:
         sys.stderr.write(f"A key {request.name!r} already exists.\n")
         return BAD_INPUT
-    log_command("makeKey", f"/v1/keys/{request.name}")
-    sys.stdout.write(f"{made[1]}{os.linesep}")
+    key, secret = made
+    path = f"/v1/keys/{key.name}"
+    service_log.log_change("command", "makeKey", path=path, scopes=key.scopes)
+    sys.stdout.write(f"{secret}{os.linesep}")
     return 0
 
 

@@ -10,7 +10,7 @@ import subprocess
 import time
 from collections.abc import Callable
 
-from chamfer_morph.worker import liveness
+from chamfer_morph.worker import liveness, service_log
 from chamfer_morph.worker.absent_slots import AbsentSlots
 from chamfer_morph.worker.adoptions import Adoptions
 from chamfer_morph.worker.dbos_adapter import database
@@ -95,11 +95,12 @@ def delete_expired(
     """
     deleted: list[str] = []
 
-    def delete(job: str) -> None:
+    def delete(job: str, why: str) -> None:
         record = queue.get(job)
         sizes.forget(job)  # one that goes on meanwhile is measured again when it has finished
         if record is not None and deletions.delete(record):
-            log.info("job %s has expired", job)
+            path = f"/v1/jobs/{job}"
+            service_log.log_change("expired", "deleteJob", path=path, job=job, why=why)
             deleted.append(job)
 
     if settings.retention_days and by_age:
@@ -108,7 +109,7 @@ def delete_expired(
         while page := queue.finished(after, PAGE):
             expired = [job for job, _, at in page if at < latest]
             for job in expired:
-                delete(job)
+                delete(job, f"older than {settings.retention_days:g} days")
             if len(expired) < len(page):
                 break
             after = page[-1][2], page[-1][0]
@@ -118,7 +119,7 @@ def delete_expired(
         while excess > 0 and (oldest := sizes.oldest(PAGE)):
             for job, size in oldest:
                 if excess > 0:
-                    delete(job)
+                    delete(job, f"finished jobs filled more than {settings.retention_bytes} bytes")
                     excess -= size
     return deleted
 

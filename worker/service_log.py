@@ -26,6 +26,8 @@ TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 TOLD = ("chamfer_morph.audit", "chamfer_morph.jobs")
 """Loggers whose lines of level INFO are written, too."""
 
+_audit: logging.Logger = logging.getLogger("chamfer_morph.audit")
+
 
 def set_up(log_format: str) -> None:
     """Write the log of this process to standard error, as `text` or `json`."""
@@ -43,6 +45,13 @@ def set_up_engine(log_format: str) -> None:
         set_up(log_format)
         logging.captureWarnings(True)
         sys.excepthook = _log_exception
+
+
+def log_change(message: str, operation: str, **fields: Any) -> None:
+    """Log what changed without a request, by the operation of the API that does the same."""
+    now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    line = {"time": now, "operation": operation, **fields}
+    _audit.info(json.dumps(line), extra={"fields": line | {"message": message}})
 
 
 def last_words(line: str) -> str:

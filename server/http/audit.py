@@ -45,7 +45,8 @@ class AuditMiddleware:
     A line is one JSON object: `time` in UTC, `request`, `key` (empty without one), `operation`,
     `method`, `path`, `job` (that is made or meant; or empty), `status`, and `seconds` until the
     answer began. A refused request has a line, too; a status of 0 says that nothing was answered.
-    No line has a body, a query or a secret.
+    The line of a new key also has `new_key`, its name, and `scopes`. No line has a body, a
+    query or a secret.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -75,16 +76,11 @@ class AuditMiddleware:
         try:
             await self.app(scope, receive, send_named)
         finally:
-            caller = scope.get("state", {}).get("caller")
+            state = scope.get("state", {})
             if scope["method"] not in READING:
-                line = _line(scope, caller, name, status, seconds) | {"job": _job(scope, made)}
+                line = _line(scope, state.get("caller"), name, status, seconds)
+                line |= {"job": _job(scope, made)} | state.get("audited", {})
                 _log.info(json.dumps(line), extra={"fields": line | {"message": "request"}})
-
-
-def log_command(operation: str, path: str) -> None:
-    """Log what a command of the server has changed, by the operation of the API that does so."""
-    line = {"time": _now(), "operation": operation, "path": path}
-    _log.info(json.dumps(line), extra={"fields": line | {"message": "command"}})
 
 
 def _job(scope: Scope, made: str) -> str:

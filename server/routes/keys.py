@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body, Request, Response
 from fastapi.openapi.models import Example
 
 from chamfer_morph.schemas import Key, KeyRequest, NewKey
@@ -33,6 +33,7 @@ def list_keys(caller: Admin, context: Context) -> list[Key]:
 def make_key(
     caller: Admin,
     body: Annotated[KeyRequest, Body(openapi_examples=EXAMPLES)],
+    request: Request,
     response: Response,
     context: Context,
 ) -> NewKey:
@@ -51,6 +52,7 @@ def make_key(
     context.authenticator.invalidate()
     response.headers["Location"] = f"/v1/keys/{body.name}"
     key, secret = created
+    request.state.audited = {"new_key": key.name, "scopes": key.scopes}
     return NewKey(**key.model_dump(), secret=secret)
 
 

@@ -57,6 +57,7 @@ def test_changes_are_logged_with_key_and_name(
     assert last["request"] == refused.headers["X-Request-ID"]
     assert last["path"] == ADDRESS and last["method"] == "DELETE" and last["seconds"] >= 0
     assert lines()[2]["request"] == "click-7"
+    assert (lines()[0]["new_key"], lines()[0]["scopes"]) == ("root", ["admin"])
     text = json.dumps(lines())
     assert made.json()["secret"] not in text and "secret" not in text
 
@@ -111,6 +112,7 @@ def test_commands_that_change_keys_are_logged(tmp_path: Path) -> None:
 
     secret, (added,) = keys("add", "ann")
     assert '"operation": "makeKey", "path": "/v1/keys/ann"' in added and secret not in added
+    assert '"scopes": ["read", "submit"]' in added
     assert keys("list")[1] == keys("add", "ann")[1] == keys("remove", "bob")[1] == []
     _, (removed,) = keys("remove", "ann")
     assert '"operation": "revokeKey", "path": "/v1/keys/ann"' in removed

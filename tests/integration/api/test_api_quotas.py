@@ -15,6 +15,7 @@ import sqlalchemy as sa
 
 from chamfer_morph.server.database import reservations
 from chamfer_morph.server.database.tables import ReservationRow
+from chamfer_morph.worker import service_log
 from chamfer_morph.worker.dbos_adapter import database
 from chamfer_morph.worker.janitor import delete_expired
 from chamfer_morph.worker.settings import Settings
@@ -254,8 +255,11 @@ def test_jobs_of_a_host_with_a_wrong_clock_count(either: Api, run: RunRecord, ho
     assert sizes.of("") == sizes.total() == expected
 
 
-def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
-    """As many as it takes, and none that has not finished."""
+def test_the_oldest_go_beyond_the_space(
+    either: Api, run: RunRecord, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As many as it takes, and none that has not finished; the log tells which and why."""
+    service_log.set_up("text")
     sizes, storage, queue = either.context.job_sizes, either.context.storage, either.context.queue
     deletions = either.context.deletions
     jobs = [either.finished(run) for _ in range(3)]
@@ -269,6 +273,12 @@ def test_the_oldest_go_beyond_the_space(either: Api, run: RunRecord) -> None:
     assert delete_expired(by_age, queue, sizes, deletions) == jobs[1:]
     left: list[Path] = [*(storage.root / "jobs").iterdir()]
     assert [path.name for path in left] == [running] and sizes.total() == 0
+    audit = (record for record in caplog.records if record.name == "chamfer_morph.audit")
+    lines = [json.loads(record.getMessage()) for record in audit]
+    deleted = [line for line in lines if line["operation"] == "deleteJob"]
+    assert [(line["job"], line["why"].split()[0]) for line in deleted] == [
+        (jobs[0], "finished"), (jobs[1], "older"), (jobs[2], "older"),
+    ]  # fmt: skip
 
 
 def test_a_job_that_no_worker_has_room_for_is_refused(make_api: Callable[..., Api]) -> None:
