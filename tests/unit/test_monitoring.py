@@ -6,11 +6,12 @@ import itertools
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import yaml
 
+from chamfer_morph.schemas import Problem
 from chamfer_morph.server.routes.health import Metrics
 
 FOLDER = Path(__file__).resolve().parents[2] / "docker" / "monitoring"
@@ -82,3 +83,10 @@ def test_panels_do_not_overlap() -> None:
         cells = set(itertools.product(columns, rows))
         assert not cells & taken and max(columns) < 24
         taken |= cells
+
+
+def test_every_failure_that_is_not_the_users_raises_an_alert() -> None:
+    """Users see to their input, their settings and their time limits."""
+    kinds = set(get_args(Problem.model_fields["kind"].annotation))
+    (listed,) = re.findall(r'kind=~"([^"]*)"', alerts()["MorphEnginesBreakOff"])
+    assert set(listed.split("|")) == kinds - {"input", "simulation", "timeout"}
