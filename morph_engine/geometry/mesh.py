@@ -23,6 +23,7 @@ from morph_engine.geometry.obj_file import has_vertex_colors, plain_obj
 from morph_engine.geometry.orientation import reversed_faces
 from morph_engine.geometry.ply_faces import with_triangles
 from morph_engine.geometry.splats import are_splats, solid_of_splats
+from morph_engine.geometry.stl_length import without_appendix
 from morph_engine.geometry.topology import signed_volume, triangle_areas
 from morph_engine.geometry.upward import Up, guess_up
 
@@ -362,6 +363,8 @@ def _parse(
         data, kind = plain_gltf(data, kind), "glb"
     elif kind == "ply":
         data = with_triangles(data)
+    elif kind == "stl":
+        data = without_appendix(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # NumPy only warns when text between numbers makes it stop reading.

@@ -120,6 +120,18 @@ def test_truncated_file(tmp_path, kind):
     assert refusal(tmp_path / f"half.{kind}", whole[: len(whole) // 2])
 
 
+@pytest.mark.parametrize("head", [b"", b"solid box", b"\n solid"])
+@pytest.mark.parametrize("appended", [b"\0", b"\r\n", bytes(range(256))])
+def test_bytes_after_a_binary_stl_are_ignored(tmp_path, head, appended):
+    """Whatever its header says."""
+    whole = BOX.export(file_type="stl")
+    path = tmp_path / "box.stl"
+    path.write_bytes(head.ljust(80, b"\0") + whole[80:] + appended)
+    assert load_mesh(path).volume == pytest.approx(480)
+    path.write_bytes(BOX.export(file_type="stl_ascii").encode() + b"\n" + bytes(100))
+    assert load_mesh(path).volume == pytest.approx(480)
+
+
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 def test_vertices_must_be_finite(tmp_path, value):
     """NaN and infinite coordinates are counted in the message."""
