@@ -21,6 +21,7 @@ from morph_engine.geometry.mesh_archive import Companions, mesh_content, read_ar
 from morph_engine.geometry.mesh_colors import MeshColors
 from morph_engine.geometry.obj_file import has_vertex_colors, plain_obj
 from morph_engine.geometry.orientation import reversed_faces
+from morph_engine.geometry.ply_colors import scale_colors
 from morph_engine.geometry.ply_faces import with_triangles
 from morph_engine.geometry.splats import are_splats, solid_of_splats
 from morph_engine.geometry.stl_length import without_appendix
@@ -379,6 +380,7 @@ def _parse(
         splats = _splats(scene)
         if splats is not None:
             return *solid_of_splats(splats), (SPLATS_FILLED,)
+        scale_colors(scene)
         return _merged(scene, kind)
 
 

@@ -70,6 +70,14 @@ def test_scene_becomes_one_mesh(tmp_path):
     np.testing.assert_allclose(mesh.bounds[:, 0], [-8, 8], rtol=1e-6)
 
 
+def test_lines_beside_a_mesh_are_passed_over(tmp_path):
+    """As a GLB may have them."""
+    scene = trimesh.Scene([BOX, trimesh.load_path([[0, 0, 0], [9, 0, 0], [9, 9, 0]])])
+    path = tmp_path / "scene.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    assert load_mesh(path).volume == pytest.approx(480, rel=1e-6)
+
+
 def test_missing_file_names_its_path(tmp_path):
     """A missing file is an error with the path as its cause."""
     with pytest.raises(MeshError, match=r"nowhere\.obj cannot be read: No such file"):

@@ -68,6 +68,47 @@ def test_colours_of_vertices_come_as_they_are_in_the_file(tmp_path, name):
     assert np.abs(found - expected).max() <= ONE_LEVEL
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("kind", ["vertex", "face"])
+@pytest.mark.parametrize(
+    ("number", "stored", "expected"),
+    [
+        ("ushort", (65535, 32768, 0), (255, 128, 0)),
+        ("uint", (2**32 - 1, 2**31, 0), (255, 128, 0)),
+        ("ushort", (255, 128, 0), (255, 128, 0)),
+        ("uchar", (255, 128, 0), (255, 128, 0)),
+    ],
+)
+def test_colours_of_more_than_eight_bits(tmp_path, encoding, kind, number, stored, expected):
+    """PLY scales them by the largest number of their type; bytes in a larger type are bytes."""
+    box = trimesh.creation.box(extents=(4, 4, 4))
+    colors = [f"property {number} {name}" for name in ("red", "green", "blue")]
+    header = ["ply", f"format {encoding} 1.0", f"element vertex {len(box.vertices)}"]
+    header += [f"property float {name}" for name in "xyz"] + colors * (kind == "vertex")
+    header += [f"element face {len(box.faces)}", "property list uchar int vertex_indices"]
+    header += [*colors * (kind == "face"), "end_header", ""]
+    of_vertex, of_face = (stored, ()) if kind == "vertex" else ((), stored)
+    rows = [
+        *[(*at, *of_vertex) for at in box.vertices],
+        *[(3, *face, *of_face) for face in box.faces],
+    ]
+    if encoding == "ascii":
+        content = "\n".join(" ".join(map(str, row)) for row in rows).encode()
+    else:
+        order = ">" if "big" in encoding else "<"
+        code = {"uchar": "B", "ushort": "H", "uint": "I"}[number]
+        codes = {"vertex": "3f", "face": "B3i"}
+        codes[kind] += f"3{code}"
+        counts = len(box.vertices) * ["vertex"] + len(box.faces) * ["face"]
+        content = b"".join(
+            struct.pack(order + codes[of], *row) for of, row in zip(counts, rows, strict=True)
+        )
+    (tmp_path / "box.ply").write_bytes("\n".join(header).encode() + content)
+    mesh = load_mesh(tmp_path / "box.ply")
+    found = seen(mesh, box.triangles_center)
+    assert np.abs(found - expected).max() <= ONE_LEVEL
+
+
 def test_colours_of_faces_change_at_their_edges(tmp_path):
     """Each face of a PLY file has its own."""
     shape = trimesh.creation.box(extents=(4, 4, 4))
