@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import sys
@@ -10,7 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import sqlalchemy as sa
 
@@ -19,11 +20,13 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.private_process import keep_private
 from chamfer_morph.worker.settings import Settings, load_settings
 from chamfer_morph.worker.slots import WorkerSlots, executor_id, janitor_id
-from morph_engine.errors import MorphError
+from morph_engine.errors import ConfigError, MorphError
 
 if TYPE_CHECKING:
     from chamfer_morph.worker.queue import JobQueue
     from chamfer_morph.worker.storage import Storage
+
+log: logging.Logger = logging.getLogger("chamfer_morph.worker")
 
 POLL_SECONDS = 0.05
 LOCK_CHECK_SECONDS = 4.0
@@ -42,7 +45,7 @@ def main() -> None:
         service_log.set_up(settings.log_format)
         _run(arguments, settings)
     except MorphError as error:
-        sys.exit(f"{error.cause}\n{error.remedy}")
+        refuse(error.cause, error.remedy, ExitCode.REFUSED if isinstance(error, ConfigError) else 1)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -120,13 +123,15 @@ def run_slot(settings: Settings, executor: str, storage: Storage) -> None:
     queue.close()
     lock = wait_for_lock(settings, executor, LOCK_TIMEOUT_SECONDS)
     if lock is None:
-        sys.exit(f"Another worker runs as {executor}. Choose another --slot.")
+        refuse(f"Another worker runs as {executor}.", "Stop it, or choose another --first-slot.")
     slots = WorkerSlots(database(settings, kept=1))
     slots.register(executor)
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
     paused = slots.is_paused(executor)
+    if paused:
+        log.warning("%s is paused: it takes no jobs before `morph workers unpause`.", executor)
     spare = SpareEngine(settings, storage, partial(jobs_wait, queue))
     look_for_a_job = None if paused else launch(settings, executor, spare)
     last_check = time.monotonic()
@@ -148,6 +153,12 @@ def run_slot(settings: Settings, executor: str, storage: Storage) -> None:
         slots.unregister(executor)
     telemetry.flush()
     os._exit(0)  # the engine process of its job ends with it
+
+
+def refuse(cause: str, remedy: str, status: int = ExitCode.REFUSED) -> NoReturn:
+    """End this process, and say why and what to do about it."""
+    sys.stderr.write(f"{cause}\n{remedy}\n")
+    sys.exit(status)
 
 
 def jobs_wait(queue: JobQueue) -> bool:

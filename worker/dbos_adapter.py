@@ -29,7 +29,7 @@ from chamfer_morph.worker.exit_codes import ExitCode
 from chamfer_morph.worker.postgres_timeouts import TIMEOUTS, session_options
 from chamfer_morph.worker.settings import Settings
 from chamfer_morph.worker.tables import create_missing
-from morph_engine.errors import ConfigError
+from morph_engine.errors import MorphError
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -70,6 +70,10 @@ def _refuse(self: DefaultSerializer, text: str) -> Any:
 
 
 DefaultSerializer.deserialize = _refuse  # type: ignore
+
+
+class DatabaseUnavailableError(MorphError):
+    """The database does not answer, or refuses."""
 
 
 class WorkflowTable:
@@ -291,14 +295,14 @@ def check_reachable(settings: Settings) -> None:
     """See whether the database answers.
 
     Raises:
-        ConfigError: It does not.
+        DatabaseUnavailableError: It does not.
     """
     engine = database(settings)
     try:
         engine.connect().close()
     except (sa.exc.DBAPIError, OSError) as error:
         reason = str(getattr(error, "orig", error)).strip().splitlines()[0]
-        raise ConfigError(
+        raise DatabaseUnavailableError(
             f"The database cannot be used: {reason}.",
             "Start it, or correct MORPH_DATABASE_URL or MORPH_DATA_DIR.",
         ) from error

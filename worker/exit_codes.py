@@ -8,6 +8,9 @@ from enum import IntEnum
 class ExitCode(IntEnum):
     """An end that is neither success nor a crash."""
 
+    REFUSED = 2
+    """It cannot start as it was called or set up, and another start would not help."""
+
     ORPHANED = 75
     """Its parent has died or fallen silent."""
 

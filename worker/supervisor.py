@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from chamfer_morph.worker.exit_codes import ExitCode
 from morph_engine.child_process import describe_exit, python_command
 
 POLL_SECONDS = 0.1
@@ -34,13 +35,18 @@ class SupervisedProcess:
         command: Its command line.
         environment: Its environment; None means that of this process.
         inherited: File descriptors that it inherits.
+        may_refuse: Whether it is left as it is where its first start ends with ExitCode.REFUSED.
+        refused: Whether it has done so.
     """
 
     name: str
     command: Sequence[str]
     environment: Mapping[str, str] | None = None
     inherited: tuple[int, ...] = ()
+    may_refuse: bool = False
+    refused: bool = field(default=False, init=False)
     _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    _starts: int = field(default=0, init=False)
     _started_at: float = field(default=0.0, init=False)
     _start_at: float = field(default=0.0, init=False)
     _pause: float = field(default=0.0, init=False)
@@ -52,6 +58,9 @@ class SupervisedProcess:
             if status is None:
                 return
             self._process = None
+            if self.may_refuse and self._starts == 1 and status == ExitCode.REFUSED:
+                self.refused = True
+                return
             if time.monotonic() - self._started_at >= STEADY_SECONDS:
                 self._pause = 0.0
             else:
@@ -98,6 +107,7 @@ class SupervisedProcess:
             start_new_session=True,
             preexec_fn=_die_with_parent(os.getpid()) if sys.platform == "linux" else None,
         )
+        self._starts += 1
 
 
 class StopSignals:
@@ -116,10 +126,12 @@ class StopSignals:
         self.received = self.received or number
 
 
-def worker_slot(number: int, environment: Mapping[str, str] | None = None) -> SupervisedProcess:
+def worker_slot(
+    number: int, environment: Mapping[str, str] | None = None, *, may_refuse: bool = False
+) -> SupervisedProcess:
     """The process of a worker slot of this machine."""
     command = python_command("chamfer_morph.worker", "run", "--slot", str(number))
-    return SupervisedProcess(f"worker slot {number}", command, environment)
+    return SupervisedProcess(f"worker slot {number}", command, environment, may_refuse=may_refuse)
 
 
 def supervise(
@@ -127,7 +139,7 @@ def supervise(
     stop: StopSignals,
     on_poll: Callable[[], None] = lambda: None,
 ) -> None:
-    """Keep processes alive until a signal comes, then end them.
+    """Keep processes alive until a signal comes or one refuses to start, then end them.
 
     Args:
         processes: The processes, not started yet.
@@ -135,7 +147,7 @@ def supervise(
         on_poll: Called several times a second.
     """
     try:
-        while stop.received is None:
+        while stop.received is None and not any(process.refused for process in processes):
             for process in processes:
                 process.keep_alive()
             time.sleep(POLL_SECONDS)

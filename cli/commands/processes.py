@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from chamfer_morph.cli.exit_status import BAD_INPUT
 from chamfer_morph.cli.interrupt import INTERRUPTED
 from morph_engine.child_process import python_command
 from morph_engine.errors import ConfigError
@@ -59,18 +60,24 @@ def worker(
     elsewhere.
     """
     from chamfer_morph.cli.gpu_selection import chosen_gpus, slots_of
+    from chamfer_morph.worker.settings import load_settings
     from chamfer_morph.worker.supervisor import StopSignals, supervise, worker_slot
 
     if slots is not None and gpus is not None:
         raise ConfigError("--slots and --gpus cannot be combined.", "Use only one of them.")
+    load_settings()  # a wrong one ends this process, not one worker after the other
     own: dict[int, dict[str, str]] = {first_slot + place: {} for place in range(slots or 1)}
     if gpus is not None:
         chosen = slots_of(chosen_gpus(gpus), first_slot)
         own = {slot: {"CUDA_VISIBLE_DEVICES": gpu} for slot, gpu in chosen.items()}
     shared = _environment({"DATA_DIR": data_dir, "WORKERS": len(own)})  # they share the cores
-    processes = [worker_slot(slot, shared | settings) for slot, settings in own.items()]
+    processes = [
+        worker_slot(slot, shared | settings, may_refuse=True) for slot, settings in own.items()
+    ]
     stop = StopSignals()
     supervise(processes, stop)
+    if any(process.refused for process in processes):
+        raise typer.Exit(BAD_INPUT)
     raise typer.Exit(INTERRUPTED if stop.received == signal.SIGINT else 0)
 
 

@@ -365,6 +365,22 @@ def test_workers_that_die_are_started_again(tmp_path):
         assert not any(each.is_running() for each in workers)
 
 
+def test_workers_that_cannot_start_end_the_command(tmp_path):
+    """Which says why: a misspelt setting, or a slot that is taken."""
+    wrong = subprocess.run(
+        [MORPH, "worker"], env=environment() | {"MORPH_WRKERS": "1"}, timeout=600,
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert_refused(wrong, "MORPH_WRKERS", "MORPH_WORKERS")
+    with running("worker", "--data-dir", tmp_path):
+        assert wait_for(lambda: [*tmp_path.glob("locks/*-slot0")])
+        taken = subprocess.run(
+            [MORPH, "worker", "--data-dir", tmp_path], env=environment(), timeout=600,
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert_refused(taken, "Another worker runs", "--first-slot")
+
+
 def test_workers_of_a_machine_share_its_cores(tmp_path):
     """Two slots have half of the cores each."""
     warm = {"MORPH_WARM_ENGINES": "true"}

@@ -108,9 +108,9 @@ def test_duplicate_executor(cluster):
     cluster.worker(0)
     cluster.wait_until(lambda: executor_id(0) in cluster.slots.all(), "the first worker")
     second = cluster.worker(0)
-    assert second.wait(30) == 1
+    assert second.wait(30) == ExitCode.REFUSED
     log = (cluster.settings.data_dir / "processes.log").read_text()
-    assert "Choose another --slot" in log
+    assert "choose another --first-slot" in log
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL])

@@ -128,6 +128,17 @@ def test_a_slot_that_is_told_to_end_is_forgotten(cluster):
     assert cluster.slots.all() == {}
 
 
+def test_a_worker_that_starts_paused_says_so(cluster):
+    """Pauses outlive an upgrade, and whoever waits for its jobs looks into the log."""
+    cluster.slots.register(executor_id(0))
+    cluster.slots.pause(executor_id(0))
+    cluster.worker()
+    log = cluster.settings.data_dir / "processes.log"
+    cluster.wait_until(lambda: "WARNING" in log.read_text(), "the warning")
+    assert f"{executor_id(0)} is paused" in log.read_text()
+    assert "morph workers unpause" in log.read_text()
+
+
 @pytest.mark.parametrize("process", ["worker", "janitor"])
 def test_a_probe_tells_a_process_that_hangs(new_cluster, process):
     """Whoever looks after containers asks so; one that goes on again is alive again."""
