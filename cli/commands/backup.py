@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from chamfer_morph.cli.options import JsonOption, QuietOption
 from chamfer_morph.cli.tables import format_size
+from morph_engine.errors import ResourceError
 
 if TYPE_CHECKING:
     from chamfer_morph.server.backup.backup import BackupRecord
@@ -39,7 +41,7 @@ def backup(
     from chamfer_morph.worker.settings import load_settings
 
     keep_private()
-    with _counting(quiet=quiet) as on_copied:
+    with _explaining("backup", folder), _counting(quiet=quiet) as on_copied:
         record = back_up(load_settings(), folder, on_copied)
     _print(record, folder, f"morph restore {folder}", as_json=as_json)
 
@@ -59,9 +61,29 @@ def restore(
     from chamfer_morph.worker.settings import load_settings
 
     keep_private()
-    with _counting(quiet=quiet) as on_copied:
-        record = restore_service(load_settings(), folder, on_copied)
+    settings = load_settings()
+    with _explaining("restore", settings.data_dir), _counting(quiet=quiet) as on_copied:
+        record = restore_service(settings, folder, on_copied)
     _print(record, folder, "morph serve", as_json=as_json)
+
+
+@contextmanager
+def _explaining(what: str, target: Path) -> Iterator[None]:
+    """Tell what stops a copy into a folder.
+
+    Raises:
+        ResourceError: A file cannot be read, or the disk refuses.
+    """
+    try:
+        yield
+    except (OSError, sqlite3.OperationalError) as error:
+        path = getattr(error, "filename", None) or target
+        reason = getattr(error, "strerror", None) or error
+        raise ResourceError(
+            f"The {what} has stopped at {path} ({reason}).",
+            f"Check that {target} can be written to and has free space, and that you may read the "
+            "files of the service; then repeat the command, which continues where it stopped.",
+        ) from error
 
 
 @contextmanager

@@ -105,6 +105,36 @@ def test_restore_refuses(new_cluster, tmp_path, fault, message):
     assert message in refused.stderr
 
 
+@pytest.mark.parametrize("command", ["backup", "restore"])
+def test_a_full_disk_is_told(new_cluster, small_disk, tmp_path, command):
+    """With the place and what to do about it; once there is room the same command succeeds."""
+    service = new_cluster("")
+    (service.storage.root / "jobs" / "one").mkdir()
+    (service.storage.root / "jobs" / "one" / "log.txt").write_bytes(bytes(1 << 22))
+    environment, folder = service.environment, small_disk / "backup"
+    if command == "restore":
+        folder = tmp_path / "backup"
+        assert morph(environment, "backup", folder).returncode == 0
+        environment = environment | {"MORPH_DATA_DIR": str(small_disk / "data")}
+    filling = small_disk / "filling"
+    filling.write_bytes(bytes(10 << 20))
+    refused = morph(environment, command, folder, "--quiet")
+    assert refused.returncode == 2, refused.stderr
+    cause, remedy = refused.stderr.splitlines()
+    assert f"The {command} has stopped at {small_disk}" in cause and "No space" in cause
+    assert "free space" in remedy
+    filling.unlink()
+    assert morph(environment, command, folder, "--quiet").returncode == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a folder in which nothing can be made")
+def test_a_place_that_cannot_be_written_to_is_told(new_cluster):
+    """As a read-only disk is."""
+    refused = morph(new_cluster("").environment, "backup", "/proc/backup", "--quiet")
+    assert refused.returncode == 2
+    assert "The backup has stopped at /proc/backup" in refused.stderr
+
+
 def test_backup_refuses_a_folder_with_other_files(new_cluster, tmp_path):
     """Nothing in it is touched."""
     (tmp_path / "diary.txt").write_text("mine")
