@@ -202,6 +202,14 @@ class Settings(BaseSettings):
             )
         return secret
 
+    @field_validator("data_dir", "admin_key_file")
+    @classmethod
+    def _expand_home(cls, path: Path | None) -> Path | None:
+        try:
+            return path and path.expanduser()
+        except RuntimeError:
+            raise ValueError(f"there is no home directory for {path}") from None
+
     @field_validator("metrics_key")
     @classmethod
     def _check_length(cls, secret: SecretStr) -> SecretStr:

@@ -20,7 +20,7 @@ from typing import Any
 from chamfer_morph.schemas import MeshShape, Shape
 from chamfer_morph.worker.event_log import EventLog
 from chamfer_morph.worker.settings import Settings
-from morph_engine.errors import MeshError, MorphError, ResultError
+from morph_engine.errors import ConfigError, MeshError, MorphError, ResultError
 from morph_engine.files import replacing, sync_directory, wait_for
 
 PROBE_BYTES = 1 << 17
@@ -85,15 +85,25 @@ class Storage:
 
     Args:
         root: The data directory, created where missing.
+
+    Raises:
+        ConfigError: It cannot be created.
     """
 
     def __init__(self, root: Path) -> None:
         self.root: Path = root.absolute()
-        if not self.root.exists():
-            self.root.mkdir(parents=True, exist_ok=True)
-            self.root.chmod(0o700)  # of whoever runs the service alone
-        for name in ("meshes", "uploads", "jobs", "locks"):
-            (self.root / name).mkdir(parents=True, exist_ok=True)
+        try:
+            if not self.root.exists():
+                self.root.mkdir(parents=True, exist_ok=True)
+                self.root.chmod(0o700)  # of whoever runs the service alone
+            for name in ("meshes", "uploads", "jobs", "locks"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f"The data directory {self.root} cannot be used ({error.strerror or error}).",
+                "Name a folder that the service may write to in MORPH_DATA_DIR, or make this one "
+                "writable.",
+            ) from error
 
     @property
     def uploads(self) -> Path:

@@ -19,6 +19,8 @@ from tests.patience import PATIENCE, until
     ("name", "value", "words"),
     [
         ("MORPH_WORKRES", "2", "MORPH_WORKERS"),
+        ("MORPH_DATA_DIR", "/proc/nowhere", "/proc/nowhere cannot be used"),
+        ("MORPH_DATA_DIR", __file__, "writable"),
         ("MORPH_PORT", "tcp://10.0.0.1:80", "MORPH_PORT"),
         ("MORPH_DATABASE_URL", "mysql://morph", "postgresql://"),
         ("MORPH_DATABASE_URL", "nonsense", "postgresql://"),
@@ -38,6 +40,22 @@ def test_a_wrong_setting_is_named(
     )  # fmt: skip
     assert ended.returncode and words in ended.stderr, ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 2 and "secret" not in ended.stderr
+
+
+def test_a_tilde_is_the_home_directory(tmp_path: Path) -> None:
+    """As files of settings have it, which no shell reads."""
+    home, elsewhere = tmp_path / "home", tmp_path / "elsewhere"
+    home.mkdir()
+    elsewhere.mkdir()
+    (home / "secret").write_text("x" * 32)
+    own = {name: text for name, text in os.environ.items() if not name.startswith("MORPH_")}
+    paths = {"MORPH_DATA_DIR": "~/data", "MORPH_ADMIN_KEY_FILE": "~/secret"}
+    subprocess.run(
+        [sys.executable, "-m", "chamfer_morph.server", "check"],
+        cwd=elsewhere, env=own | paths | {"HOME": str(home)}, timeout=PATIENCE, check=True,
+    )  # fmt: skip
+    assert (home / "data" / "morph.sqlite").exists()
+    assert not any(elsewhere.iterdir())
 
 
 def test_a_wrong_name_in_a_file_is_named(tmp_path: Path) -> None:
