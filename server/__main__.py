@@ -49,7 +49,10 @@ def _parser() -> argparse.ArgumentParser:
     add = actions.add_parser("add", help="make a key and print its secret")
     add.add_argument("name")
     add.add_argument(
-        "--scope", action="append", choices=["read", "submit", "admin"], help="default: submit"
+        "--scope",
+        action="append",
+        choices=["read", "submit", "admin"],
+        help="may be given several times; default: read and submit",
     )
     actions.add_parser("list", help="print the keys as JSON")
     remove = actions.add_parser("remove", help="revoke a key")
