@@ -25,6 +25,9 @@ from morph_engine.files import replacing, sync_directory, wait_for
 
 PROBE_BYTES = 1 << 17
 
+RESULT = "result.vtkhdf"
+"""Name of the result in the folder of its job."""
+
 DISCARD = "discard-"
 
 REMOVALS = 10
@@ -227,7 +230,7 @@ class Storage:
 
     def result_path(self, job_id: str) -> Path:
         """The result file of a job; its run directory lies beside it while it runs."""
-        return self.job_dir(job_id) / "result.vtkhdf"
+        return self.job_dir(job_id) / RESULT
 
     def states_dir(self, job_id: str) -> Path:
         """Where states of a job after some of its frames are kept; it need not be there."""

@@ -15,11 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ValidationError
+from sqlalchemy.exc import DBAPIError
 
+from chamfer_morph.schemas import JobState
 from chamfer_morph.server.backup.database_dump import dump, has_tables, load
 from chamfer_morph.server.backup.folder_copy import FolderCopy, folder_size
+from chamfer_morph.worker.queue import JobQueue
 from chamfer_morph.worker.settings import Settings
-from chamfer_morph.worker.storage import Storage
+from chamfer_morph.worker.storage import RESULT, Storage
 from morph_engine.errors import ConfigError
 from morph_engine.files import file_sha256, replacing
 
@@ -30,6 +33,9 @@ SKIPPED = frozenset({"derived", "lock"})
 """Of a job: what is computed on request, and the lock of its engine."""
 
 RECORD, DATABASE = "backup.json", "database.dump"
+
+NAMES_SHOWN = 20
+"""Damaged files that are named."""
 
 
 class BackupRecord(BaseModel):
@@ -43,6 +49,8 @@ class BackupRecord(BaseModel):
         finished_at: When it was complete.
         files: Number of files, the database not included.
         bytes: Their size.
+        digests: SHA-256 of meshes and of results, by their paths in the backup, as the service
+            knows them; none in backups of before there were any.
     """
 
     format: Literal[1] = 1
@@ -52,6 +60,7 @@ class BackupRecord(BaseModel):
     finished_at: datetime
     files: int
     bytes: int
+    digests: dict[str, str] = {}
 
 
 def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) -> BackupRecord:
@@ -86,9 +95,12 @@ def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
     for copy in copies:
         copy.update()
     dump(settings, folder / DATABASE)
+    results = _results(settings) if copies else {}
     for copy in copies:
         copy.update()
         copy.remove_others()
+    if results:  # without those that were computed again meanwhile
+        results = dict(results.items() & _results(settings).items())
     files, size = _size(folder)
     record = BackupRecord(
         version=metadata.version("chamfer-morph"),
@@ -97,6 +109,7 @@ def back_up(settings: Settings, folder: Path, on_copied: Callable[[int], None]) 
         finished_at=datetime.now(timezone.utc),
         files=files,
         bytes=size,
+        digests=results | _meshes(folder),
     )
     with replacing(folder / RECORD) as path:
         path.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
@@ -156,6 +169,13 @@ def _read_record(folder: Path) -> BackupRecord:
             f"Files of the backup in {folder} are missing or have changed since it was made.",
             "Use another backup.",
         )
+    if damaged := _damaged(folder, record):
+        more = f" and {len(damaged) - NAMES_SHOWN} more" if len(damaged) > NAMES_SHOWN else ""
+        raise ConfigError(
+            f"Files of the backup in {folder} are damaged: "
+            f"{', '.join(damaged[:NAMES_SHOWN])}{more}.",
+            f"Use another backup, or remove their lines from {RECORD} to restore them as they are.",
+        )
     return record
 
 
@@ -164,6 +184,37 @@ def _is_as_recorded(folder: Path, record: BackupRecord) -> bool:
     if not dumped.is_file() or _size(folder) != (record.files, record.bytes):
         return False
     return record.database_sha256 in (None, file_sha256(dumped))
+
+
+def _damaged(folder: Path, record: BackupRecord) -> list[str]:
+    """Meshes and results in the backup that are not what they were."""
+    files = {name: folder / name for name in sorted(record.digests)}
+    return [
+        name
+        for name, path in files.items()
+        if path.is_file() and file_sha256(path) != record.digests[name]
+    ]
+
+
+def _results(settings: Settings) -> dict[str, str]:
+    """The digest of each result that the database knows, by its path in a backup."""
+    queue = JobQueue(settings)
+    try:
+        return {
+            f"jobs/{job.id}/{RESULT}": job.outcome.sha256
+            for job in queue.all(states=[JobState.SUCCEEDED])
+            if job.outcome is not None
+        }
+    except DBAPIError:  # an older version's tables, which know none
+        return {}
+    finally:
+        queue.close()
+
+
+def _meshes(folder: Path) -> dict[str, str]:
+    """The digest of each mesh in a backup, by its path there."""
+    found = (folder / "meshes").glob("*/mesh.*")
+    return {path.relative_to(folder).as_posix(): path.parent.name for path in found}
 
 
 def _size(folder: Path) -> tuple[int, int]:

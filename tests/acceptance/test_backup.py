@@ -72,6 +72,33 @@ def test_backup_is_brought_up_to_date(new_cluster, tmp_path):
     assert made.stderr.startswith("1 files copied")
 
 
+@pytest.mark.parametrize("what", ["jobs", "meshes"])
+def test_restore_names_what_was_damaged(new_cluster, tmp_path, what):
+    """A result or a mesh with a byte turned is found, and restored only if that is asked for."""
+    here = new_cluster("")
+    upload = here.storage.uploads / "cube.part"
+    upload.write_text("v 0 0 0\n")
+    here.storage.add_mesh(upload, file_sha256(upload), "obj", {})
+    here.worker()
+    here.wait_for_state(here.submit(frames=1), JobState.SUCCEEDED)
+    folder, place = tmp_path / "backup", {"MORPH_DATA_DIR": str(tmp_path / "other")}
+    assert morph(here.environment, "backup", folder).returncode == 0
+    (damaged,) = folder.glob({"jobs": "jobs/*/result.vtkhdf", "meshes": "meshes/*/mesh.obj"}[what])
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+
+    name = damaged.relative_to(folder).as_posix()
+    refused = morph(here.environment | place, "restore", folder)
+    assert refused.returncode == 2
+    assert name in refused.stderr and "Use another backup" in refused.stderr
+    record = json.loads((folder / "backup.json").read_text())
+    assert len(record["digests"]) == 2
+    del record["digests"][name]
+    (folder / "backup.json").write_text(json.dumps(record))
+    assert morph(here.environment | place, "restore", folder).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
