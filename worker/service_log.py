@@ -35,6 +35,8 @@ def set_up(log_format: str) -> None:
     as_json = log_format == "json"
     handler.setFormatter(JsonFormatter() if as_json else logging.Formatter(TEXT))
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    # DBOS gives its logger a format of its own, unless that has a handler already
+    logging.getLogger("dbos").addHandler(logging.NullHandler())
     for name in TOLD if as_json else TOLD[:1]:
         logging.getLogger(name).setLevel(logging.INFO)
 

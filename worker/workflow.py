@@ -41,6 +41,9 @@ from chamfer_morph.worker.tasks.write_partial_result import LOCK_SECONDS
 
 MAX_RECOVERIES = 50
 
+JOB_FAILED = "JobFailed"
+"""What DBOS calls the error of a failed job."""
+
 _log: logging.Logger = logging.getLogger("chamfer_morph.jobs")
 
 _settings: Settings
@@ -102,8 +105,11 @@ async def morph(spec: dict[str, Any]) -> dict[str, Any]:
         return await compute(spec)
     except AttemptFailed as failure:
         problem = failure.problem
+        fields = {"job": DBOS.workflow_id, "kind": problem.kind}
+        why = " ".join(problem.cause.split())
+        _log.warning("job %s has failed: %s", DBOS.workflow_id, why, extra={"fields": fields})
         raise PortableWorkflowError(
-            problem.cause, "JobFailed", None, problem.model_dump(mode="json")
+            problem.cause, JOB_FAILED, None, problem.model_dump(mode="json")
         ) from None
 
 
@@ -226,12 +232,16 @@ def _disk_refuses(error: OSError) -> Problem:
 
 
 def _is_unexpected(record: logging.LogRecord) -> bool:
-    """Leave cancelled jobs, which DBOS reports with a traceback, out of the log."""
+    """Leave out of the log what DBOS reports with a traceback: cancelled jobs, and failed ones,
+    which have a line of their own.
+    """  # noqa: D205
+    error = record.exc_info[1] if record.exc_info else None
     cancelled = (
         dbos_error.DBOSAwaitedWorkflowCancelledError,
         dbos_error.DBOSWorkflowCancelledError,
     )
-    return not (record.exc_info and isinstance(record.exc_info[1], cancelled))
+    failed = isinstance(error, PortableWorkflowError) and error.name == JOB_FAILED
+    return not (failed or isinstance(error, cancelled))
 
 
 async def _heartbeat(publication: asyncio.Task[None]) -> None:

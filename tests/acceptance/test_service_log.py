@@ -9,15 +9,22 @@ import httpx
 import pytest
 
 from tests.live_service import LiveService, free_port
+from tests.patience import until
 
 SECRET = "0123456789abcdef" * 2
 
 
 @pytest.fixture
-def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """A service with a key that writes JSON."""
+def log_format() -> str:
+    """The format of the service's log."""
+    return "json"
+
+
+@pytest.fixture
+def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log_format: str):
+    """A service with a key."""
     found = LiveService(tmp_path, free_port())
-    environment = found.environment | {"MORPH_LOG_FORMAT": "json", "MORPH_ADMIN_KEY": SECRET}
+    environment = found.environment | {"MORPH_LOG_FORMAT": log_format, "MORPH_ADMIN_KEY": SECRET}
     monkeypatch.setattr(LiveService, "environment", property(lambda _: environment))
     found.start()
     yield found
@@ -64,3 +71,35 @@ def test_a_job_can_be_followed(service: LiveService) -> None:
     assert request["status"] == 202
     assert begun["attempt"] == 1 and begun["worker"]
     assert SECRET not in log
+
+
+@pytest.mark.parametrize("log_format", ["text", "json"])
+def test_a_failed_job_is_one_line(service: LiveService, log_format: str) -> None:
+    """It names the job and why, without a traceback; as JSON like every other line."""
+    key = {"Authorization": f"Bearer {SECRET}"}
+    body = {
+        "source": {"shape": "sphere"},
+        "target": {"shape": "star"},
+        "method": "flow",
+        "frames": 2,
+        "overrides": {
+            "sampling.points_per_cell_edge": 1,
+            "landmarks": [{"source": [90, 90, 90], "target": [0, 0, 0]}],
+        },
+    }
+    made = service.call("POST", "/v1/jobs", json=body, headers=key)
+    assert made.is_success, made.text
+    address = f"/v1/jobs/{made.json()['id']}"
+    until(lambda: service.call("GET", address, headers=key).json()["state"] == "failed")
+    problem = service.call("GET", address, headers=key).json()["problem"]
+    service.stop()
+    _, _, log = (service.data_dir / "service.log").read_text().partition("(Ctrl-C stops it).\n")
+    assert "Traceback" not in log
+    line = f"job {made.json()['id']} has failed: {problem['cause']}"
+    if log_format == "text":
+        assert len([found for found in log.splitlines() if problem["cause"] in found]) == 1
+        assert line in log
+        return
+    lines = [json.loads(found) for found in log.splitlines()]
+    failed = [found for found in lines if found["message"] == line]
+    assert [(found["job"], found["kind"]) for found in failed] == [(made.json()["id"], "input")]
