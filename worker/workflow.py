@@ -232,9 +232,7 @@ def _disk_refuses(error: OSError) -> Problem:
 
 
 def _is_unexpected(record: logging.LogRecord) -> bool:
-    """Leave out of the log what DBOS reports with a traceback: cancelled jobs, and failed ones,
-    which have a line of their own.
-    """  # noqa: D205
+    """Leave cancelled and failed jobs, of which DBOS prints tracebacks, out of the log."""
     error = record.exc_info[1] if record.exc_info else None
     cancelled = (
         dbos_error.DBOSAwaitedWorkflowCancelledError,
