@@ -15,6 +15,9 @@ LESS_MEMORY = (
 )
 """The remedy for a job that takes more memory than jobs may have."""
 
+MORE_DISK = "Free some space on the disk of MORPH_DATA_DIR of the service, then resume the job."
+"""The remedy for a job whose result cannot be written."""
+
 
 class JobSpec(BaseModel, frozen=True, extra="forbid"):
     """Everything that a job needs, fixed when it is submitted."""
@@ -55,4 +58,5 @@ def problem_of(error: MorphError) -> Problem:
         kind = "simulation"
     elif isinstance(error, ResourceError | ResultError):
         kind = "resources"
-    return Problem(cause=error.cause, remedy=error.remedy, kind=kind)
+    names_out = "`out`" in error.remedy  # which nobody chooses for a job
+    return Problem(cause=error.cause, remedy=MORE_DISK if names_out else error.remedy, kind=kind)

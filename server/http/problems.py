@@ -129,10 +129,9 @@ def too_large(max_bytes: int) -> ProblemError:
     )
 
 
-def unavailable(detail: str) -> ProblemError:
+def unavailable(detail: str, remedy: str = "Try again in a few seconds.") -> ProblemError:
     """Something that the service needs is not there at the moment."""
-    retry = {"Retry-After": "5"}
-    return ProblemError(503, detail, "Try again in a few seconds.", headers=retry)
+    return ProblemError(503, detail, remedy, headers={"Retry-After": "5"})
 
 
 def disk_full() -> ProblemError:

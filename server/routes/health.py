@@ -211,9 +211,13 @@ def readyz(context: Context) -> Readiness:
         context.storage.probe()
     except Exception as error:
         if is_disk_full(error):
-            raise unavailable("The disk of the service is full.") from error
-        what = "The data directory" if isinstance(error, OSError) else "The database"
-        raise unavailable(f"{what} is not available at the moment.") from error
+            raise unavailable("The disk of the service is full.", "Free some space.") from error
+        if isinstance(error, OSError):
+            raise unavailable(
+                f"The data directory cannot be written to ({error.strerror or error}).",
+                "Check that the disk of MORPH_DATA_DIR is there and writable.",
+            ) from error
+        raise unavailable("The database is not available at the moment.") from error
     if context.settings.object_store and (cause := context.store_watch.cause()):
         return Readiness(status="reading", detail=cause)
     return Readiness()

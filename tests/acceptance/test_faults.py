@@ -431,6 +431,17 @@ def test_disk_full(new_cluster, small_disk, undisturbed):
     cluster.require_sound(job, undisturbed, kills=2)
 
 
+def test_too_little_disk_for_a_job(new_cluster, small_disk):
+    """It is refused before its first frame, with what can be done about the disk of a service."""
+    cluster = new_cluster("")
+    put_jobs_on(small_disk, cluster)
+    fill_disk(small_disk, but=1 << 20)
+    cluster.worker()
+    problem = cluster.wait_for_state(cluster.submit(), JobState.FAILED).problem
+    assert "MB of disk" in problem.cause and problem.kind == "resources"
+    assert "MORPH_DATA_DIR" in problem.remedy and "`out`" not in problem.remedy
+
+
 def test_disk_full_as_the_result_is_written(new_cluster, small_disk, undisturbed):
     """The job fails and says so; with room again, resume writes it, and computes no frame again."""
     cluster = new_cluster("")

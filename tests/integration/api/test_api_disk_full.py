@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +22,7 @@ def test_a_full_disk_is_told(make_api: Callable[..., Api], small_disk: Path, cub
                 file.write(bytes(step))
     ready = api.http.get("/readyz")
     assert ready.status_code == 503 and "full" in ready.json()["detail"]
+    assert ready.json()["remedy"] == "Free some space."
     mesh = {"params": {"name": "cube.obj"}, "content": cube + b"#" * 200_000}
     form = {"files": {"source": ("a.obj", mesh["content"])}, "data": {"job": '{"target": 1}'}}
     for answer in (
@@ -39,3 +41,17 @@ def test_a_full_disk_is_told(make_api: Callable[..., Api], small_disk: Path, cub
     assert api.http.get("/readyz").status_code == 200
     assert api.http.post("/v1/meshes", **mesh).status_code == 201
     api.submit(overrides=COARSE)
+
+
+def test_a_read_only_disk_is_told(
+    make_api: Callable[..., Api], small_disk: Path, tmp_path: Path
+) -> None:
+    """To whoever looks after the service, for nothing heals by another try."""
+    data = tmp_path / "data"
+    data.mkdir()
+    (data / "uploads").symlink_to(small_disk)
+    api = make_api(data_dir=data)
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    ready = api.http.get("/readyz")
+    assert ready.status_code == 503 and "Read-only" in ready.json()["detail"]
+    assert "MORPH_DATA_DIR" in ready.json()["remedy"]
