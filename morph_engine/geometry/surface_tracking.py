@@ -14,6 +14,7 @@ import numpy.typing as npt
 import scipy
 from scipy.spatial import cKDTree
 
+from morph_engine.errors import MeshError
 from morph_engine.geometry.surface_reconstruction import Surface
 from morph_engine.geometry.topology import vertex_normals
 
@@ -73,8 +74,15 @@ def carried(vertices: Floats, before: Floats, after: Floats, spacing: float) -> 
     Returns:
         Positions in the other frame [dx], shape [V, 3]. Particles that are not finite in both
         frames carry nothing.
+
+    Raises:
+        MeshError: None is finite in both.
     """
     known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    if not known.any():
+        raise MeshError(
+            "Two frames in a row have no particle in common.", "Export their surfaces untracked."
+        )
     before, after = before[known], after[known]
     distance, near = cKDTree(before).query(vertices, k=min(NEIGHBORS, len(before)), workers=-1)
     distance, near = distance.reshape(len(vertices), -1), near.reshape(len(vertices), -1)

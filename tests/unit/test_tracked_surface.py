@@ -11,7 +11,7 @@ import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
-from morph_engine.errors import ConfigError
+from morph_engine.errors import ConfigError, MeshError
 from morph_engine.export import export
 from morph_engine.geometry.placement import Placement
 from morph_engine.geometry.sampling import Similarity
@@ -125,6 +125,15 @@ def test_particles_that_are_lost_carry_nothing():
     moved = matter + 1
     moved[0] = np.nan
     np.testing.assert_allclose(carried(matter[:5], matter, moved, H), matter[:5] + 1)
+
+
+def test_matter_that_is_lost_carries_nothing():
+    """Two frames that have no particle in common have no motion between them."""
+    matter = np.random.default_rng(0).random((20, 3))
+    before, after = matter.copy(), matter.copy()
+    before[:10], after[10:] = np.nan, np.inf
+    with pytest.raises(MeshError, match="no particle in common"):
+        carried(matter, before, after, H)
 
 
 def test_one_mesh_where_the_topology_stays(lump):
