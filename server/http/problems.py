@@ -148,8 +148,9 @@ def damaged_result() -> ProblemError:
     """What a job has left cannot be read."""
     return ProblemError(
         500,
-        "The result of the job is damaged.",
-        "Retry the job; the log of the service tells an administrator what is damaged.",
+        "The result of the job is missing or damaged on the server.",
+        "Tell an administrator, who finds the file in the log of the service; if it cannot be "
+        "restored, retry the job.",
     )
 
 

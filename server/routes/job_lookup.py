@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import anyio
 from fastapi import Depends, Request
@@ -20,6 +20,7 @@ from chamfer_morph.server.http.problems import ProblemError, not_found
 from chamfer_morph.worker.frame_reader import Frame, has_unsaved_frames, read_frame, read_run_record
 from chamfer_morph.worker.job_record import JobRecord
 from chamfer_morph.worker.job_state import Action, allowed
+from chamfer_morph.worker.queue import JobChangedError
 from chamfer_morph.worker.storage import StoreUnavailableError
 from morph_engine.errors import DamagedError, MorphError
 from morph_engine.results.run_record import RunRecord
@@ -124,7 +125,8 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
     Raises:
         ProblemError: 409, there is none; 503, its engine was killed, and its frames cannot be made
             a result now.
-        DamagedError: One of these frames cannot be read.
+        DamagedError: One of these frames cannot be read, or the file of a succeeded job has gone.
+        JobChangedError: It has been retried or deleted meanwhile.
     """
     await anyio.to_thread.run_sync(fetch, job, context)
     path = context.storage.result_path(job.id)
@@ -137,6 +139,8 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
         except MorphError as error:  # nothing is wrong with the request
             retry = {"Retry-After": "60"}
             raise ProblemError(503, error.cause, error.remedy, headers=retry) from error
+    if job.outcome is not None and not path.is_file():
+        await anyio.to_thread.run_sync(refuse_lost, job, f"{path} is missing.", context)
     if not job.state.finished or not path.is_file():
         raise ProblemError(
             409,
@@ -147,6 +151,21 @@ async def find_result(job: JobRecord, request: Request, context: ServerContext) 
             headers={} if job.state.finished else {"Retry-After": "5"},
         )
     return path
+
+
+def refuse_lost(job: JobRecord, cause: str, context: ServerContext) -> NoReturn:
+    """Say that the result of a succeeded job is not here as it was.
+
+    Raises:
+        DamagedError: Always, but where
+        JobChangedError: the job has been retried or deleted since its record was read.
+    """
+    now = context.queue.get(job.id)
+    if now is None or (now.outcome, now.finished_at) != (job.outcome, job.finished_at):
+        raise JobChangedError
+    raise DamagedError(
+        cause, "Check that MORPH_DATA_DIR is the right folder and mounted, or retry the job."
+    )
 
 
 def check_allowed(job: JobRecord, action: Action) -> None:

@@ -19,7 +19,12 @@ from chamfer_morph.server.http import array_encoding
 from chamfer_morph.server.http.conditional import binary_responses, file_response
 from chamfer_morph.server.http.csv_table import csv_table
 from chamfer_morph.server.http.remote_file import remote_file_response
-from chamfer_morph.server.routes.job_lookup import FinishedFrame, VisibleJob, find_result
+from chamfer_morph.server.routes.job_lookup import (
+    FinishedFrame,
+    VisibleJob,
+    find_result,
+    refuse_lost,
+)
 from chamfer_morph.server.routes.job_view import file_stem
 from chamfer_morph.worker.event_log import EventLog
 from morph_engine.files import file_sha256
@@ -56,11 +61,11 @@ async def get_result(job: VisibleJob, request: Request, context: Context) -> Res
                 request, remote, digest, media_type=HDF5, filename=filename
             )
     path = await find_result(job, request, context)
-    if job.outcome is not None:
-        digest = job.outcome.sha256
-    else:
-        stat = path.stat()
-        digest = await anyio.to_thread.run_sync(_digest, path, stat.st_mtime_ns, stat.st_size)
+    stat = path.stat()
+    digest = await anyio.to_thread.run_sync(_digest, path, stat.st_mtime_ns, stat.st_size)
+    if job.outcome is not None and digest != job.outcome.sha256:
+        cause = f"{path} does not have the SHA-256 that the job has reported."
+        await anyio.to_thread.run_sync(refuse_lost, job, cause, context)
     return file_response(request, path, digest, media_type=HDF5, filename=filename)
 
 
@@ -152,5 +157,5 @@ def _metrics(log: EventLog, version: tuple[int, int], format: Literal["json", "c
 
 @lru_cache(maxsize=1000)
 def _digest(path: Path, changed_at: int, size: int) -> str:
-    """SHA-256 of a partial result, which no outcome names."""
+    """SHA-256 of a file as it was last changed."""
     return file_sha256(path)

@@ -23,6 +23,7 @@ from chamfer_morph.worker import storage
 from chamfer_morph.worker.dbos_adapter import SERIALIZER
 from chamfer_morph.worker.queue import JobChangedError, JobQueue
 from chamfer_morph.worker.storage import Storage, StoreUnavailableError
+from morph_engine.files import file_sha256
 from morph_engine.results.run_record import RunRecord
 from morph_engine.results.spool import spool_path
 from tests.integration.api.conftest import COARSE, Api
@@ -226,6 +227,37 @@ def test_a_retry_that_breaks_off_leaves_the_result(
     assert [path.name for path in result.parent.iterdir()] == ["lock"]
 
 
+def reported(api: Api, job: str) -> str:
+    """What a worker reports of a job with the result that this one has."""
+    path = api.context.storage.result_path(job)
+    outcome = Outcome(
+        sha256=file_sha256(path), size_bytes=path.stat().st_size, frames=2, metrics={},
+        particle_count=1, target_count=1, cpu_seconds=0, peak_memory_mb=0,
+    )  # fmt: skip
+    return SERIALIZER.serialize(outcome.model_dump(mode="json"))
+
+
+@pytest.mark.parametrize("fault", ["missing", "a byte turned"])
+def test_a_result_that_is_lost_on_the_server(
+    either: Api, run: RunRecord, fault: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The answer says so, rather than that nothing was computed; the log names the file."""
+    job = either.finished(run)
+    path = either.context.storage.result_path(job)
+    shutil.rmtree(spool_path(path))
+    change(either, job, status="SUCCESS", output=reported(either, job))
+    address = f"/v1/jobs/{job}/result"
+    assert either.http.get(address).content == path.read_bytes()
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.unlink() if fault == "missing" else path.write_bytes(content)
+    answer = either.http.get(address)
+    assert answer.status_code == 500
+    assert answer.json()["detail"] == "The result of the job is missing or damaged on the server."
+    assert "administrator" in answer.json()["remedy"] and str(path) in caplog.text
+    assert either.http.get(f"/v1/jobs/{job}").json()["state"] == "succeeded"
+
+
 @contextmanager
 def interrupted(instant: int) -> Iterator[None]:
     """SystemExit at the begin or end of the so-manieth call in the package of queue and storage."""
@@ -251,11 +283,7 @@ def test_a_retry_may_break_off_anywhere(api: Api, run: RunRecord, tmp_path: Path
     job, queue = api.finished(run), api.context.queue
     folder = api.context.storage.job_dir(job)
     shutil.copytree(folder, tmp_path / "kept")
-    outcome = Outcome(
-        sha256="0" * 64, size_bytes=1, frames=2, metrics={}, particle_count=1, target_count=1,
-        cpu_seconds=0, peak_memory_mb=0,
-    )  # fmt: skip
-    output = SERIALIZER.serialize(outcome.model_dump(mode="json"))
+    output = reported(api, job)
     seen = []
     for instant in count():
         shutil.copytree(tmp_path / "kept", folder, dirs_exist_ok=True)
