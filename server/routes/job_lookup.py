@@ -157,8 +157,8 @@ def refuse_lost(job: JobRecord, cause: str, context: ServerContext) -> NoReturn:
     """Say that the result of a succeeded job is not here as it was.
 
     Raises:
-        DamagedError: Always, but where
-        JobChangedError: the job has been retried or deleted since its record was read.
+        JobChangedError: The job has been retried or deleted since its record was read.
+        DamagedError: It has not.
     """
     now = context.queue.get(job.id)
     if now is None or (now.outcome, now.finished_at) != (job.outcome, job.finished_at):
