@@ -160,12 +160,12 @@ def test_a_morph_from_submit_to_result(service: Service, tmp_path: Path) -> None
 
 def test_what_dies_is_started_again(service: Service) -> None:
     """A killed API answers again on the same port, a killed worker goes on with its job."""
-    job = service.http.post("/v1/jobs", json=JOB | {"frames": 300}).json()["id"]
+    job = service.http.post("/v1/jobs", json=JOB | {"frames": 100}).json()["id"]
     service.children("api")[0].kill()
     while not service.wait(job, "running")["progress"]["frame"]:
         time.sleep(0.05)
     service.children("run")[0].kill()
-    assert service.wait(job, "succeeded")["progress"]["frame"] == 300
+    assert service.wait(job, "succeeded")["progress"]["frame"] == 100
     processes = psutil.Process(service.process.pid).children(recursive=True)
     service.process.kill()
     service.process.wait()
