@@ -38,6 +38,10 @@ class ResultError(MorphError):
     """A result file or run directory is missing, damaged or of another run."""
 
 
+class DiskSpaceError(ResourceError, ResultError):
+    """A disk has no room for a result, or refuses to take it."""
+
+
 class DamagedError(ResultError):
     """A result file or run directory cannot be read as it was written."""
 

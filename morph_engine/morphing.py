@@ -28,6 +28,7 @@ from morph_engine.cost import BYTES_IN_RESULT, estimate_run
 from morph_engine.device import Device
 from morph_engine.errors import (
     ConfigError,
+    DiskSpaceError,
     MeshError,
     MorphError,
     ResourceError,
@@ -311,7 +312,7 @@ def check_resources(record: RunRecord, out: str | Path | None = None) -> None:
     disk = BYTES_IN_RESULT * record.particle_count * frames / MEGABYTE + 10
     room = psutil.disk_usage(str(folder)).free / MEGABYTE
     if disk > room:
-        raise ResourceError(
+        raise DiskSpaceError(
             f"The result needs {disk:,.0f} MB of disk and {room:,.0f} MB are free in {folder}.",
             "Free some space, or choose another `out` or fewer `frames`.",
         )

@@ -8,7 +8,13 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from chamfer_morph.schemas import Device, ForkOrigin, MeshShape, Problem, Shape
 from morph_engine.config import MorphConfig, stored_config
-from morph_engine.errors import MorphError, ResourceError, ResultError, SimulationError
+from morph_engine.errors import (
+    DiskSpaceError,
+    MorphError,
+    ResourceError,
+    ResultError,
+    SimulationError,
+)
 
 LESS_MEMORY = (
     "Lower `sampling.points_per_cell_edge`, raise `grid.dx`, or raise MORPH_JOB_MEMORY_BYTES."
@@ -58,5 +64,6 @@ def problem_of(error: MorphError) -> Problem:
         kind = "simulation"
     elif isinstance(error, ResourceError | ResultError):
         kind = "resources"
-    names_out = "`out`" in error.remedy  # which nobody chooses for a job
-    return Problem(cause=error.cause, remedy=MORE_DISK if names_out else error.remedy, kind=kind)
+    # nobody chooses where the result of a job is written
+    remedy = MORE_DISK if isinstance(error, DiskSpaceError) else error.remedy
+    return Problem(cause=error.cause, remedy=remedy, kind=kind)

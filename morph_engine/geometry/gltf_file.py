@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from morph_engine.errors import MeshError
+from morph_engine.geometry import rotation
 
 Json = dict[str, Any]
 Array = npt.NDArray[Any]
@@ -323,14 +324,9 @@ def _local_place(node: Json) -> Array:
     """A node's place in its parent, shape [4, 4]."""
     if "matrix" in node:
         return np.reshape(np.asarray(node["matrix"], np.float64), (4, 4)).T
-    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
     place = np.eye(4)
-    turn = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    place[:3, :3] = np.array(turn) * node.get("scale", (1, 1, 1))
+    turn = rotation.matrix(node.get("rotation", rotation.IDENTITY))
+    place[:3, :3] = turn * node.get("scale", (1, 1, 1))
     place[:3, 3] = node.get("translation", (0, 0, 0))
     return place
 

@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from morph_engine.errors import DamagedError, ResultError
+from morph_engine.errors import DamagedError, DiskSpaceError, ResultError
 from morph_engine.files import UNREADABLE, acquire, replacing
 from morph_engine.results.run_record import Json, RunRecord, Units
 
@@ -495,7 +495,7 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ResultError(
+        raise DiskSpaceError(
             f"Cannot write to {path} ({error.strerror or error}).",
             "Free some disk space or choose another place with `out`, then resume.",
         ) from error

@@ -13,6 +13,14 @@ from tests.patience import until
 
 SECRET = "0123456789abcdef" * 2
 
+SMALL = {
+    "source": {"shape": "sphere"},
+    "target": {"shape": "star"},
+    "frames": 2,
+    "overrides": {"sampling.points_per_cell_edge": 1},
+}
+"""A job that takes seconds."""
+
 
 @pytest.fixture
 def log_format() -> str:
@@ -36,13 +44,7 @@ def test_a_job_can_be_followed(service: LiveService) -> None:
     no line is text.
     """  # noqa: D205
     key = {"Authorization": f"Bearer {SECRET}"}
-    body = {
-        "source": {"shape": "sphere"},
-        "target": {"shape": "star"},
-        "method": "dco",
-        "frames": 2,
-        "overrides": {"sampling.points_per_cell_edge": 1},
-    }
+    body = SMALL | {"method": "dco"}
     made = service.call("POST", "/v1/jobs", json=body, headers=key | {"X-Request-ID": "click-1"})
     job = made.json()["id"]
     events = f"{service.url}/v1/jobs/{job}/events"
@@ -77,16 +79,8 @@ def test_a_job_can_be_followed(service: LiveService) -> None:
 def test_a_failed_job_is_one_line(service: LiveService, log_format: str) -> None:
     """It names the job and why, without a traceback; as JSON like every other line."""
     key = {"Authorization": f"Bearer {SECRET}"}
-    body = {
-        "source": {"shape": "sphere"},
-        "target": {"shape": "star"},
-        "method": "flow",
-        "frames": 2,
-        "overrides": {
-            "sampling.points_per_cell_edge": 1,
-            "landmarks": [{"source": [90, 90, 90], "target": [0, 0, 0]}],
-        },
-    }
+    far = {"landmarks": [{"source": [90, 90, 90], "target": [0, 0, 0]}]}
+    body = SMALL | {"method": "flow", "overrides": SMALL["overrides"] | far}
     made = service.call("POST", "/v1/jobs", json=body, headers=key)
     assert made.is_success, made.text
     address = f"/v1/jobs/{made.json()['id']}"
